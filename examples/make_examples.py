@@ -1,9 +1,11 @@
-"""Make the shipped examples from a folder of CC0 meshes with an index.csv (columns file, category, source, credit, licence).
+"""Make the shipped examples from a folder of CC0 meshes.
 
     python examples/make_examples.py --meshes DIR [--output examples]
 
-Each example is a picture of one shape (image, mask, camera, 1,024 surface points) and, as the cloud to start from, another
-shape of its category. Shapes of a category are turned to face the same way: chairs and cars +z, aeroplanes -x; y is up.
+DIR has an index.csv with the columns file, category, source, credit and licence.
+
+An example is a picture of one shape (image, mask, camera, 1,024 surface points), and another shape
+of the category as the start. Chairs and cars are turned to face +z, aeroplanes -x. y is up.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ from tso_cli.render import (
 )
 
 SIZE = (256, 256)
-# A photo in which the chair of its example is small: width and height, focal length, principal point.
+# A photo in which the chair is small: its size, focal length and principal point, px.
 PHOTO, FOCAL, MIDDLE = (1280, 960), 210.0, (923.5, 567.5)
 
 # Category: target, initial (the other shape), azimuth and elevation of the picture in degrees.
@@ -45,20 +47,22 @@ EXAMPLES = {
 # Meshes to train on; no target of an example is among them.
 TRAINING = {
     "chair": (
-        "BlendSwap-CC-0_osakaChair kfurn_chair kfurn_chairCushion kfurn_chairDesk kfurn_chairRounded "
-        "q17_Chair q17_ChairCushioned q17_ChairHandle q19_Chair q19_OfficeChair"
+        "BlendSwap-CC-0_osakaChair kfurn_chair kfurn_chairCushion kfurn_chairDesk "
+        "kfurn_chairRounded q17_Chair q17_ChairCushioned q17_ChairHandle q19_Chair "
+        "q19_OfficeChair"
     ),
     "car": (
         "qbasic_BasicCar qbasic_CopCar qbasic_RaceCar qbasic_SimpleCarHigh qpublic_Taxi "
         "qreal_Cop qreal_NormalCar1 qreal_NormalCar2 qreal_SUV qreal_SportsCar2"
     ),
     "airplane": (
-        "BlendSwap-CC-0_cartoon_biplane qplane_MilitaryAirplane2 qplane_Military_Airplane qplane_Private_plane "
-        "qplane_SmallPlane"
+        "BlendSwap-CC-0_cartoon_biplane qplane_MilitaryAirplane2 qplane_Military_Airplane "
+        "qplane_Private_plane qplane_SmallPlane"
     ),
 }
 
-# Degrees about y, by the beginning of the name, that turn a mesh to its category's front; found by looking at pictures.
+# Degrees about y that turn a mesh to face as its category does, by the beginning of the mesh's
+# name. They were found by looking at pictures.
 TURNS = {
     "kfurn_": 180,
     "q17_": -90,
@@ -71,7 +75,7 @@ TURNS = {
 
 
 def turned(name: str, mesh: Mesh) -> Mesh:
-    """``mesh`` with its front where its category has it; exact, as only quarter turns occur."""
+    """``mesh``, turned to face as its category does. Quarter turns are exact."""
     degrees = next((value for start, value in TURNS.items() if name.startswith(start)), 0)
     cos, sin = {0: (1, 0), 90: (0, 1), 180: (-1, 0), -90: (0, -1)}[degrees]
     turn = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]], dtype=np.float64)
@@ -98,7 +102,7 @@ def make_example(
 
 
 def make_photo(folder: Path, target: Mesh, azimuth: float, elevation: float) -> None:
-    """Write mask.png and camera.json of a large photo, taken from where the example's picture was."""
+    """Write mask.png and camera.json of a large photo from the place of the example's picture."""
     target = normalise(target)
     camera = look_at(azimuth, elevation, 2.0, SIZE)
     camera = look_at(
@@ -115,9 +119,12 @@ def credits_table(rows: list[tuple[str, dict[str, str]]]) -> str:
     lines = [
         "# Credits",
         "",
-        "All shapes are in the public domain under CC0 1.0 (https://creativecommons.org/publicdomain/zero/1.0/). The pictures,",
-        "masks, cameras and clouds were made from them by `make_examples.py` and are given under the same terms.",
-        "The authors: Kenney (www.kenney.nl), Quaternius (www.patreon.com/quaternius), and the authors of the BlendSwap shapes",
+        "All shapes are in the public domain under CC0 1.0 "
+        "(https://creativecommons.org/publicdomain/zero/1.0/). The pictures,",
+        "masks, cameras and clouds were made from them by `make_examples.py` and are given under "
+        "the same terms.",
+        "The authors: Kenney (www.kenney.nl), Quaternius (www.patreon.com/quaternius), and the "
+        "authors of the BlendSwap shapes",
         "that the Debian package sweethome3d-furniture distributes.",
         "",
         "| file | made from | author | source | licence |",

@@ -1,4 +1,4 @@
-"""The two network variants on a photo, with the network that comes with the program or with a checkpoint of `tso train`.
+"""Refine what a network predicts from a photo: the shipped network, or one from `tso train`.
 
 python examples/refine_network.py [base.safetensors]
 """
@@ -21,12 +21,13 @@ scene = load_network_scene(chair / "image.png", chair / "mask.png", checkpoint, 
 for mode in ("encoder", "encoder-decoder"):
     config = RefineConfig(mode, sigma_sq=scene.sigma_sq)
     result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
-    # a network knows neither size nor place: both clouds are judged at longest side 1
+    # A network knows neither size nor place, so both clouds are compared at longest side 1.
     clouds = (
         normalise_longest_side(scene.to_output(points))
         for points in (result.initial, result.points)
     )
     before, after = (1e3 * chamfer(cloud, target).chamfer for cloud in clouds)
-    print(
-        f"{mode}: IoU {result.iou_before:.3f} -> {result.iou_after:.3f}, Chamfer x1000 {before:.3f} -> {after:.3f}"
-    )
+    fit = result.fit
+    print(f"{mode}:")
+    print(f"  IoU           {fit.iou_before:.3f} -> {fit.iou_after:.3f}")
+    print(f"  Chamfer x1000 {before:.3f} -> {after:.3f}")

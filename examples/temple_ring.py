@@ -1,11 +1,15 @@
-"""Photos of an object on a dark ground: masks, camera file and a start for `tso refine`, and a judgement by other photos.
+"""Make the input of `tso refine` from photos on a dark ground, and evaluate by other photos.
 
-The photos are not part of this repository; docs/photos.md says where they are from and what comes out.
+The photos are not part of this repository. docs/photos.md says where they are from.
 
-python examples/temple_ring.py prepare templeRing temple            masks, views.json and start.ply
-tso refine --mode points temple/start.ply temple/templeR0013.png ... --camera temple/views.json -o temple/refined.ply
-python examples/temple_ring.py judge temple temple/refined.ply --used templeR0013 ...
-python examples/temple_ring.py compare temple -o photos.json        two starts; 1, 2 and 4 masks; both presets
+Make masks, views.json and start.ply:
+    python examples/temple_ring.py prepare templeRing temple
+Refine with some of the masks, and evaluate the result with the others:
+    tso refine temple/start.ply temple/templeR0013.png ... --camera temple/views.json \\
+        -o temple/refined.ply
+    python examples/temple_ring.py judge temple temple/refined.ply --used templeR0013 ...
+Compare two starts, 1, 2 and 4 masks, and both presets:
+    python examples/temple_ring.py compare temple -o photos.json
 """
 
 from __future__ import annotations
@@ -28,17 +32,18 @@ from tso_cli.lab.studies.fingerprint import today
 
 Array = NDArray[np.float64]
 
-# Brightness that only the object reaches; the stand under it stays below.
+# Brightness that only the object reaches. The stand under it is darker.
 THRESHOLD = 70
-# The box that the data's description gives for the object, and how much room is left around it.
+# The object's box by the description of the data, and the room around it, in sizes of the box.
 BOX = np.array([[-0.023121, -0.038009, -0.091940], [0.078626, 0.121636, -0.017395]])
 ROOM = 0.1
-# Cells along the longest side of the coarse hull, the points drawn on it, and their noise, share of the longest side.
+# Cells along the longest side of the coarse hull, the points drawn on it, and their noise in
+# longest sides.
 CELLS, POINTS, NOISE = 24, 2048, 0.03
 
 
 def mask_of(image: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """The largest bright thing in a picture [H, W, 3], its holes filled: shadows between its parts count as object."""
+    """The largest bright thing in a picture [H, W, 3]. Its holes, which are shadows, are filled."""
     bright = ndimage.gaussian_filter(image[..., :3].max(2).astype(np.float64), 1.0) > THRESHOLD
     bright = ndimage.binary_closing(ndimage.binary_opening(bright, iterations=2), iterations=6)
     labels, count = ndimage.label(bright)
@@ -52,7 +57,7 @@ def mask_of(image: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def read_parameters(path: Path) -> dict[str, tuple[Array, Array, Array]]:
-    """Name of a photo -> K, R, t, from a file of the Middlebury form: a count, then "name K R t" row by row."""
+    """Name of a photo -> K, R, t, from a Middlebury file: a count, then rows of "name K R t"."""
     rows = [line.split() for line in path.read_text().splitlines()[1:] if line.strip()]
     numbers = {row[0]: np.array(row[1:], dtype=np.float64) for row in rows}
     return {
@@ -61,7 +66,7 @@ def read_parameters(path: Path) -> dict[str, tuple[Array, Array, Array]]:
 
 
 def spread(views: list[View], count: int) -> list[View]:
-    """So many of the views from the first to the last, evenly."""
+    """``count`` of the views, evenly from the first to the last."""
     return [views[i] for i in np.linspace(0, len(views) - 1, count).round().astype(int)]
 
 
@@ -97,7 +102,7 @@ def inside(points: Array, view: View) -> NDArray[np.bool_]:
 
 
 def read_views(folder: Path) -> list[View]:
-    """All views that ``prepare`` left in a folder."""
+    """All views that ``prepare`` wrote into a folder."""
     return [
         View(read_mask(r.mask), r.camera, name=r.mask.stem)
         for r in read_cameras(folder / "views.json")
@@ -106,7 +111,7 @@ def read_views(folder: Path) -> list[View]:
 
 
 def prepare(photos: Path, folder: Path) -> None:
-    """Masks, camera file and start, of the photos that the parameters name and that are there."""
+    """Write masks, camera file and start. Photos that are missing are left out."""
     (parameters,) = photos.glob("*_par.txt")
     folder.mkdir(parents=True, exist_ok=True)
     records = []
@@ -130,14 +135,14 @@ def prepare(photos: Path, folder: Path) -> None:
 
 
 def judged(points: Array, views: list[View]) -> dict[str, float]:
-    """How well a cloud agrees with masks: IoU of its silhouette, and the share of its points that fall beside a mask."""
+    """IoU of a cloud's silhouette and the masks, and the share of its points outside a mask."""
     scores = [window_iou(points, view) for view in views]
-    beside = [float((~inside(points, view)).mean()) for view in views]
+    outside = [float((~inside(points, view)).mean()) for view in views]
     return {
         "iou": float(np.mean(scores)),
         "worst_iou": float(np.min(scores)),
-        "beside": float(np.mean(beside)),
-        "most_beside": float(np.max(beside)),
+        "beside": float(np.mean(outside)),
+        "most_beside": float(np.max(outside)),
     }
 
 
@@ -149,12 +154,13 @@ def judge(folder: Path, cloud: Path, used: list[str]) -> None:
         found = judged(read_cloud(path).points, others)
         print(
             f"{path}: IoU {found['iou']:.3f}, worst {found['worst_iou']:.3f}; "
-            f"{found['beside']:.1%} of the points beside a mask, at most {found['most_beside']:.1%}"
+            f"{found['beside']:.1%} of the points outside a mask, "
+            f"at most {found['most_beside']:.1%}"
         )
 
 
 def compare(folder: Path, output: Path) -> None:
-    """Two starts refined on 1, 2 and 4 masks with both presets, judged by the masks that no start and no run has seen."""
+    """Refine two starts with 1, 2 and 4 masks and both presets; evaluate with unused masks."""
     views = read_views(folder)
     middle, four = views[len(views) // 2], spread(views, 4)
     used = {view.name for view in (middle, *four)}
@@ -177,8 +183,11 @@ def compare(folder: Path, output: Path) -> None:
                     "symmetry": symmetry,
                 }
                 row |= judged(result.points, others)
-                row |= {"iou_used_before": result.iou_before, "iou_used": result.iou_after}
-                row |= {"symmetry_plane": result.symmetry, "seconds": sum(result.seconds.values())}
+                row |= {"iou_used_before": result.fit.iou_before, "iou_used": result.fit.iou_after}
+                row |= {
+                    "symmetry_plane": result.symmetry.coefficients,
+                    "seconds": sum(result.cost.seconds.values()),
+                }
                 rows.append(row)
                 print(json.dumps(row))
     record = {

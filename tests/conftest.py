@@ -1,4 +1,4 @@
-"""What several rooms share: the command line, run in this process, the chair example, and a random cloud."""
+"""What several rooms share: the command line in this process, the chair example, a random cloud."""
 
 import json
 import shutil

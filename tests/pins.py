@@ -31,6 +31,8 @@ MODES = ("points", "encoder", "encoder-decoder", "latent")
 PRESETS = ("best", "paper")
 # Values that a clock or the place of the files decides.
 FLEETING = ("seconds", "images_per_second", "version", "output", "state", "checkpoint")
+# Words, which may change without a change of results.
+PROSE = ("convention", "warnings", "reason", "choice", "symmetry_reason", "what", "option")
 
 
 def commands() -> dict[str, list[str]]:
@@ -103,7 +105,9 @@ def pins() -> dict[str, str]:
 
 def _lasting(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _lasting(entry) for key, entry in value.items() if key not in FLEETING}
+        return {
+            key: _lasting(entry) for key, entry in value.items() if key not in (*FLEETING, *PROSE)
+        }
     return [_lasting(entry) for entry in value] if isinstance(value, list) else value
 
 

@@ -1,6 +1,6 @@
 """The commands and figures of README and docs: run, compared, and written anew.
 
-python -m tests.readme             runs the commands that pages show, puts what they print below them, and fills in the figures
+python -m tests.readme             runs the commands of the pages and fills in output and figures
 python -m tests.readme --figures   fills in the figures alone
 """
 
@@ -20,7 +20,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
-PAGES = (README, *sorted(DOCS.glob("*.md")))
+PAGES = (README, ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")))
 RECORDS = DOCS / "records"
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
@@ -30,6 +30,11 @@ def console_commands(text: str) -> list[tuple[str, str]]:
     blocks = [re.split(r"^\$ ", block, flags=re.MULTILINE)[1:] for block in CONSOLE.findall(text)]
     parts = [part.partition("\n") for block in blocks for part in block]
     return [(command, printed.rstrip("\n")) for command, _, printed in parts]
+
+
+def python_blocks(page: Path) -> list[str]:
+    """The Python code that a page shows, in order."""
+    return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
 
 
 def working_copy(folder: Path) -> None:
@@ -59,7 +64,8 @@ def initial_error() -> str:
         read_cloud(ROOT / "examples" / "chair" / f"{name}.ply").points
         for name in ("initial", "target")
     )
-    return f"The initial cloud was at {1e3 * chamfer(initial, target).chamfer:.3f}."
+    before = 1e3 * chamfer(initial, target).chamfer
+    return f"The Chamfer distance of the initial cloud was {before:.3f}."
 
 
 def advice() -> str:
@@ -68,7 +74,7 @@ def advice() -> str:
         ("a cloud, one mask", "the default", "other", "points, best"),
         ("", "`--points 512`", "other", "points, best, 512 move"),
         ("", "`--preset paper`", "other", "points, paper"),
-        ("", "PyTorch3D's alpha points, the paper's descent", "other", "alpha points"),
+        ("", "PyTorch3D's alpha points, optimised as in the paper", "other", "alpha points"),
         ("a cloud, two masks", "the default", "other", "points, best, 2 masks"),
         ("a cloud, four masks", "the default", "other", "points, best, 4 masks"),
         ("a photo alone", "`--mode latent`", "network", "latent, best"),
@@ -79,7 +85,10 @@ def advice() -> str:
             "encoder-decoder, then points",
         ),
     ]
-    cells = "{mean_ratio:.2f} ± {standard_error:.2f}|{median_seconds:.2f}|{worse} of {cases}, {worst_ratio:.2f}"
+    cells = (
+        "{mean_ratio:.2f} ± {standard_error:.2f}|{median_seconds:.2f}"
+        "|{worse} of {cases}, {worst_ratio:.2f}"
+    )
     study = record("pareto")["summary"]
     figures = [
         cells.format_map(study[kind] | study[kind]["ways"][way]).split("|")
@@ -87,6 +96,23 @@ def advice() -> str:
     ]
     header = ["you have", "use", "after / before", "seconds", "made worse, worst"]
     return markdown(header, [[*row[:2], *found] for row, found in zip(rows, figures, strict=True)])
+
+
+def paper() -> str:
+    """What the three variants of the paper gain here, and there."""
+    variants = {"encoder": "encoder", "encoder-decoder": "encoder and decoder", "points": "points"}
+    study = record("tso")
+    before = study["paper"]["before"][2]
+    here, there = [], []
+    for name, words in variants.items():
+        ratio = study["summary"]["all"]["capnet"][name]["ratio_of_means"]
+        here.append(f"{100 * (1 - ratio):.1f} % ({words})")
+        there.append(f"{100 * (1 - study['paper'][name][2] / before):.1f} %")
+    return (
+        "With `--preset paper`, tso lowers the Chamfer distance of network predictions by\n"
+        f"{here[0]}, {here[1]} and {here[2]}.\n"
+        f"The paper reports {there[0]}, {there[1]} and {there[2]}."
+    )
 
 
 def types() -> str:
@@ -120,7 +146,7 @@ def types() -> str:
 
 
 def pooled(kind: str, variant: str) -> list[str]:
-    """Of all object types together: mean and worst Chamfer after / before, and how many got worse."""
+    """Of all object types: mean and worst Chamfer after / before, and how many got worse."""
     groups = [
         (group["cases"], group["variants"][variant])
         for group in record("accuracy")["summary"][kind].values()
@@ -183,17 +209,23 @@ def cameras() -> str:
             name,
             f"{row['median_degrees']:.0f}",
             f"{row['right']} of {row['cases']}",
-            f"{row['sure']}, {row['sure_right']}",
+            str(row["sure"]),
+            str(row["sure_right"]),
         ]
         for name, row in record("pose")["summary"].items()
     ]
-    return markdown(
-        ["cloud", "median error, degrees", "within 15 degrees", "called sure, of them right"], rows
-    )
+    header = [
+        "cloud",
+        "median error, degrees",
+        "within 15 degrees",
+        "called sure",
+        "right among these",
+    ]
+    return markdown(header, rows)
 
 
 def confidence() -> str:
-    """How well a low confidence tells results that are worse, by what is wrong with the input."""
+    """How well a low confidence marks results that are worse, by what is wrong with the input."""
     names = {
         "all": "anything",
         "mask": "the mask",
@@ -211,19 +243,21 @@ def confidence() -> str:
         for name, text in names.items()
     ]
     right, gross = summary["right scenes"], summary["gross"]
-    note = f"Of {gross['results'] + gross['refused']} common mistakes {100 * gross['named']:.0f} % are named rightly, "
-    note += f"{100 * gross['suspected']:.0f} % noticed; "
-    note += (
-        f"of {right['results']} right scenes {100 * right['flagged']:.0f} % are called doubtful."
+    note = (
+        f"The study made {gross['results'] + gross['refused']} common mistakes.\n"
+        f"tso named {100 * gross['named']:.0f} % of them correctly, "
+        f"and noticed {100 * gross['suspected']:.0f} %.\n"
+        f"Of {right['results']} scenes without a mistake, "
+        f"{100 * right['flagged']:.0f} % were called doubtful."
     )
-    return (
-        markdown(["wrong is", "results worse by over 5 %", "of these flagged", "AUC"], rows)
-        + f"\n\n{note}"
-    )
+    header = ["what is wrong", "results worse by over 5 %", "flagged among these", "AUC"]
+    return f"{markdown(header, rows)}\n\n{note}"
 
 
 def flagged() -> str:
-    """How many of the results that get worse in the harder half of the axes are flagged, by what is wrong."""
+    """How far it works, and how many of the results that get worse are flagged."""
+    from tso_cli.lab.stability.knees import FEW
+
     halves, knees = record("stability")["halves"], record("stability")["knees"]["best"]
     dilated, shifted, yaw, aside, distance = (
         f"{knees[axis]['works_to']:g}"
@@ -235,16 +269,18 @@ def flagged() -> str:
             "distance of the camera",
         )
     )
-    works = (
-        f"Clouds come nearer to the truth with a mask dilated by {dilated} % or shifted by {shifted} % of the object's size,\n"
-        f"a camera off by {yaw} degrees of yaw, {aside} % aside or {distance} times as far."
-    )
     shares = [
         f"{100 * halves[group]['flagged'] / halves[group]['hopeless_worse']:.0f} % ({group})"
         for group in ("mask", "camera", "cloud")
     ]
     return (
-        f"{works}\nOf worse results in the harder half of the axes tso flags {', '.join(shares)}."
+        "Refining still works up to these errors, each of them alone:\n\n"
+        f"- the mask is dilated by {dilated} %, or shifted by {shifted} % of the object's size;\n"
+        f"- the camera is turned by {yaw} degrees of yaw, moved {aside} % sideways, "
+        f"or {distance} times as far away.\n\n"
+        f"*Works* means that at most {100 * FEW:.0f} % of the clouds get worse by more than 5 %.\n"
+        "In the harder half of the study, tso flags these shares of the results that got worse:\n"
+        f"{', '.join(shares)}, by what was wrong."
     )
 
 
@@ -263,7 +299,7 @@ def network() -> str:
 
 
 def photos() -> str:
-    """The temple before and after, judged by photos that were not used."""
+    """The temple before and after, compared with photos that were not used."""
     shown = (
         row
         for row in record("photos")["summary"]
@@ -277,7 +313,7 @@ def photos() -> str:
         for row in shown
     ]
     return markdown(
-        ["start carved from photos", "preset", "IoU, mean", "IoU, worst", "points beside a mask"],
+        ["start carved from photos", "preset", "IoU, mean", "IoU, worst", "points outside a mask"],
         rows,
     )
 
@@ -294,8 +330,11 @@ def machine() -> str:
 def installation() -> str:
     """How much is installed."""
     megabytes = record("speed")["settings"]["installed_MB"]
-    size = f"`pip install .` takes {megabytes['in all']:,} MB, {megabytes['without torch']:,} MB without torch"
-    return f"{size} (for CPUs), which networks need."
+    return (
+        f"`pip install .` takes {megabytes['in all']:,} MB. "
+        f"Of this, torch (for CPUs), which only networks need, takes "
+        f"{megabytes['in all'] - megabytes['without torch']:,} MB."
+    )
 
 
 def _timed(what: str) -> list[dict[str, Any]]:
@@ -369,6 +408,20 @@ def kernels() -> str:
     return markdown(["kernel", "way", *(f"{count:,} points" for count in points)], rows)
 
 
+def record_minutes() -> str:
+    """The records that take longest, where they say how long they took."""
+    taken = {
+        path.stem: seconds / 60.0
+        for path in RECORDS.glob("*.json")
+        if (seconds := record(path.stem).get("seconds")) and seconds >= 240.0
+    }
+    rows = [
+        [name, f"{minutes:.0f}"]
+        for name, minutes in sorted(taken.items(), key=lambda item: -item[1])
+    ]
+    return markdown(["record", "minutes"], rows)
+
+
 def stages() -> str:
     """The stages of the default preset."""
     from tso_cli.optimisation.presets import STAGES
@@ -390,6 +443,7 @@ def stages() -> str:
 FIGURES = (
     initial_error,
     advice,
+    paper,
     types,
     starts,
     depth,
@@ -399,13 +453,13 @@ FIGURES = (
     network,
     photos,
 )
-FIGURES += (machine, installation, objects, batches, kernels, stages)
+FIGURES += (machine, installation, objects, batches, kernels, record_minutes, stages)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
 FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}
 
 
 def with_figures(text: str) -> str:
-    """``text`` with what stands between ``<!-- NAME -->`` and ``<!-- end -->`` made anew by the function of that name."""
+    """``text`` with every part from ``<!-- NAME -->`` to ``<!-- end -->`` made anew by NAME."""
     return re.sub(
         r"(<!-- (\w+) -->\n).*?(<!-- end -->)",
         lambda m: f"{m[1]}{FILLED[m[2]]()}\n{m[3]}",

@@ -7,12 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tso_cli import Camera, View
+from tso_cli import Camera, RefineConfig, View
+from tso_cli.cloud.cloud import Cloud
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_mask
 from tso_cli.losses.silhouette import silhouette_of
+from tso_cli.optimisation.problem import Problem, prepare
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -45,6 +47,12 @@ def example(name: str) -> Example:
     )
 
 
+def problem_of(points: np.ndarray, *views: View, symmetry: str = "none") -> Problem:
+    """A cloud and its views, prepared for the default optimisation."""
+    settings = RefineConfig(symmetry=symmetry).settings(len(views))
+    return prepare(Cloud(points, "points").controlled(), views, settings)
+
+
 def block(region: tuple[slice, slice], shape: tuple[int, int] = (64, 64)) -> np.ndarray:
     """A mask that is foreground in ``region``."""
     mask = np.zeros(shape, np.float32)
@@ -68,7 +76,7 @@ def turned(camera: Camera, degrees: float) -> Camera:
 
 
 def in_photo(view: View, times: int, left: int, top: int) -> View:
-    """The picture of a view at some place of one so many times as wide and high."""
+    """A picture ``times`` as wide and high, which has ``view`` at ``left`` and ``top``."""
     height, width = view.mask.shape
     mask = np.zeros((times * height, times * width), np.float32)
     mask[top : top + height, left : left + width] = view.mask

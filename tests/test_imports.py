@@ -1,6 +1,14 @@
-"""Imports: the rooms' order is checked by lint-imports, and within a room no module imports itself by way of others."""
+"""What the rooms may import and say; lint-imports checks the order of the rooms."""
+
+import ast
+import re
+from pathlib import Path
 
 import grimp
+
+import tso_cli
+
+PACKAGE = Path(tso_cli.__file__).parent
 
 
 def test_no_module_imports_itself_by_way_of_others():
@@ -13,3 +21,31 @@ def test_no_module_imports_itself_by_way_of_others():
     assert [
         pair for pair in imports if graph.chain_exists(importer=pair[1], imported=pair[0])
     ] == []
+
+
+def _text_of(tree: ast.AST) -> list[str]:
+    """The strings of a module that are no docstrings."""
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    docstrings = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, documented) and node.body and isinstance(node.body[0], ast.Expr)
+    }
+    return [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and id(node) not in docstrings
+    ]
+
+
+def test_only_the_command_line_names_options():
+    naming = [
+        f"{path.relative_to(PACKAGE)}: {text}"
+        for path in sorted(PACKAGE.rglob("*.py"))
+        if path.relative_to(PACKAGE).parts[0] not in ("commands", "lab", "cli.py")
+        for text in _text_of(ast.parse(path.read_text()))
+        if re.search(r"(?<![\w-])--[a-z]", text)
+    ]
+    assert naming == []

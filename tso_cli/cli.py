@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import io
 import os
+import re
 import signal
 import sys
 import threading
@@ -19,63 +20,57 @@ from .commands.options import LazyGroup
 from .errors import TsoError, is_interrupt
 from .version import __version__
 
-# Heading -> name -> (module, one line of help), here so that `tso --help` imports no command.
+RESEARCH = "Studies and benchmarks of the method."
+# Heading -> name -> (module, one line of help). The lines stand here so that `tso --help` imports
+# no command.
 SECTIONS = {
     "Your data": {
-        "refine": ("tso_cli.commands.refine", "Make a cloud agree with a mask."),
+        "refine": ("tso_cli.commands.refine", "Move a cloud until it agrees with its masks."),
         "eval": (
             "tso_cli.commands.evaluate",
-            "Evaluate clouds against ground truth: Chamfer, F-score, EMD, IoU.",
+            "Compare clouds with ground truth: Chamfer, F-score, EMD, IoU.",
         ),
     },
     "Networks": {
-        "train": (
-            "tso_cli.commands.train",
-            "Train the network that predicts a cloud from a photo.",
-        ),
         "render": (
             "tso_cli.commands.render",
-            "Render meshes to images, masks, cameras and ground truth.",
+            "Render meshes: images, masks, cameras and point clouds.",
         ),
-        "export": (
-            "tso_cli.commands.export",
-            "Write a network with 16-bit weights, without its training state.",
-        ),
-        "curves": (
-            "tso_cli.commands.curves",
-            "Draw the loss curves of trainings, and samples of a network.",
-        ),
+        "train": ("tso_cli.commands.train", "Train a network that predicts a cloud from a photo."),
+        "curves": ("tso_cli.commands.curves", "Draw the losses of trainings."),
+        "export": ("tso_cli.commands.export", "Write a smaller copy of a network."),
     },
-    "Speed and research": {
+    "Speed": {
         "compile": (
             "tso_cli.commands.compile_loops",
-            "Compile the kernels of large refinements now, once, for all runs.",
+            "Compile the loops for large clouds once, ahead of time.",
         ),
-        "bench": (
-            "tso_cli.lab.commands.bench",
-            "Measure the speed on this machine and compare it with other packages.",
-        ),
-        "lab": (
-            "tso_cli.lab.commands",
-            "Studies of the method: accuracy, the paper's tables, generated shapes.",
-        ),
+    },
+    "Research": {
+        "lab": ("tso_cli.lab.commands", RESEARCH),
+        "bench": ("tso_cli.lab.commands", RESEARCH),
     },
 }
 
 
 @click.group(
-    cls=LazyGroup, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"]}
+    cls=LazyGroup,
+    sections=SECTIONS,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(__version__, prog_name="tso")
 def tso() -> None:
     """Make a 3D point cloud agree with a picture.
 
-    `tso COMMAND --help` explains a command.
+    `tso COMMAND --help` explains a command, `tso COMMAND --help-all` shows all of its options.
     """
 
 
 class _Stream(io.FileIO):
-    """What cannot be written for an error of ``dropped`` is dropped, and the work goes on; any other is raised once."""
+    """A stream that drops what it cannot write because of an error of type ``dropped``.
+
+    Every other error is raised once.
+    """
 
     def __init__(self, descriptor: int, dropped: type[OSError]) -> None:
         super().__init__(os.dup(descriptor), "w")
@@ -87,24 +82,28 @@ class _Stream(io.FileIO):
         except self._dropped:
             return len(data)
         except OSError:
-            # Python flushes once more on exit, and would complain a second time.
+            # Python flushes once more on exit, and would report the error a second time.
             self._dropped = OSError
             raise
 
 
 def _open_streams() -> None:
-    """Let no output file take the place of a closed stdin, stdout or stderr, and no reader that leaves end the work."""
+    """Make the standard streams safe to write to.
+
+    1. If stdin, stdout or stderr is closed, no output file gets its number.
+    2. If the reader of stdout or stderr goes away, the work goes on.
+    """
     while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(spare, True)
     os.close(spare)
     if sys.stderr is sys.__stderr__:  # not replaced by a caller
         encoding = sys.stderr.encoding if sys.stderr else "utf-8"
-        # A copy, so that what C libraries print can be told apart.
+        # A copy of the descriptor: what C libraries print on 2 itself stays separate.
         sys.stderr = io.TextIOWrapper(
             _Stream(2, OSError), encoding, "backslashreplace", write_through=True
         )
     if sys.stdout is sys.__stdout__ and (stdout := sys.__stdout__) is not None:
-        # `tso eval ... | head`; that a file could not be written is told.
+        # A reader may go away, as in `tso eval ... | head`; other errors of a file are reported.
         buffered = io.BufferedWriter(_Stream(1, BrokenPipeError))
         sys.stdout = io.TextIOWrapper(
             buffered, stdout.encoding, stdout.errors, line_buffering=stdout.line_buffering
@@ -113,7 +112,7 @@ def _open_streams() -> None:
 
 @contextmanager
 def _ended_as_by_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP do what Ctrl-C does at the time, so that no half file stays and a training is kept."""
+    """Let SIGTERM and SIGHUP do what Ctrl-C does: no half file stays, and a training is kept."""
 
     def interrupt(number: int, frame: Any) -> None:
         handler = signal.getsignal(signal.SIGINT)
@@ -122,10 +121,9 @@ def _ended_as_by_ctrl_c() -> Iterator[None]:
     before = {}
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGTERM", "SIGHUP"):
-            # nohup's SIGHUP stays ignored; Windows has none.
-            if (number := getattr(signal, name, None)) and signal.getsignal(
-                number
-            ) is signal.SIG_DFL:
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            # nohup ignores SIGHUP, and it stays ignored.
+            if number and signal.getsignal(number) is signal.SIG_DFL:
                 before[number] = signal.signal(number, interrupt)
     try:
         yield
@@ -139,8 +137,12 @@ def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit: 0 done, 1 failed, 2 unusable input, 3 target missed (GateError), 130 interrupted."""
-    # What imports make is kept: looking through it for garbage takes 5 ms.
+    """Run the command line and exit.
+
+    The exit codes are 0 done, 1 failed, 2 unusable input, 3 target missed (GateError) and
+    130 interrupted.
+    """
+    # Objects made by imports stay: searching them for garbage takes 5 ms.
     gc.set_threshold(100_000)
     _open_streams()
     warnings.showwarning = _print_warning
@@ -149,7 +151,7 @@ def main(arguments: list[str] | None = None) -> None:
         with _ended_as_by_ctrl_c():
             code = tso.main(arguments, prog_name="tso", standalone_mode=False)
     except TsoError as error:
-        code = _fail(str(error), error.exit_code)
+        code = _fail(with_options(str(error)), error.exit_code)
     except click.UsageError as error:
         hint = f" (see `{error.ctx.command_path} --help`)" if error.ctx else ""
         code = _fail(f"{error.format_message()}{hint}", 2)
@@ -174,6 +176,11 @@ def main(arguments: list[str] | None = None) -> None:
 def _fail(message: str, code: int) -> int:
     print(f"tso: error: {_one_line(message)}", file=sys.stderr)
     return code
+
+
+def with_options(message: str) -> str:
+    """``message`` with parameters, which the library names in backquotes, as options."""
+    return re.sub(r"`([a-z][a-z_]*)`", lambda found: f"--{found[1].replace('_', '-')}", message)
 
 
 def _one_line(message: str) -> str:

@@ -1,4 +1,4 @@
-"""Choosing where torch computes."""
+"""Chooses where torch computes."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ if TYPE_CHECKING:
 
 
 def resolve(name: str) -> torch.device:
-    """The torch device ``name``: "cpu", "cuda", "cuda:1", "mps", or "auto" (CUDA if available, else the CPU).
+    """The torch device ``name``: "cpu", "cuda", "cuda:1", "mps" or "auto".
 
-    Raises InputError if it is not available.
+    "auto" is CUDA if it is available, otherwise the CPU. Raises InputError if the device is not
+    available.
     """
     import torch
 
@@ -21,15 +22,13 @@ def resolve(name: str) -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
-        # Reading a value back excludes "meta", whose tensors have no data.
+        # Reading a value back fails for "meta", whose tensors have no data.
         torch.ones(1, device=device).item()
     except (RuntimeError, AssertionError, NotImplementedError):
-        available = (
-            f"{torch.cuda.device_count()} CUDA devices"
-            if torch.cuda.is_available()
-            else "no CUDA device"
-        )
+        count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+        available = f"{count} CUDA devices" if count else "no CUDA device"
         raise InputError(
-            f"--device {name}: not available here (found the CPU and {available})"
+            f"`device` {name}: not available here (found the CPU and {available}), "
+            "expected a device that is"
         ) from None
     return device

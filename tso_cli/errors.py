@@ -1,11 +1,11 @@
-"""Errors that a user can act on; `cli` prints them as one line and exits with their code."""
+"""Errors that a user can act on; `cli` prints one line and exits with the error's code."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 
 class TsoError(Exception):
-    """A failure, with a message for the user: the file, what was found, what was expected."""
+    """A failure. The message names the file, what was found and what was expected."""
 
     exit_code = 1
 
@@ -17,14 +17,14 @@ class InputError(TsoError):
 
 
 class GateError(TsoError):
-    """The work is done, but a target that was set is missed."""
+    """The work is done, but it misses a target that the user has set."""
 
     exit_code = 3
 
 
 @contextmanager
 def prefixed(prefix: str) -> Iterator[None]:
-    """Begin the message of an InputError in the block with ``prefix``."""
+    """Put ``prefix`` before the message of every InputError that the block raises."""
     try:
         yield
     except InputError as error:
@@ -32,7 +32,7 @@ def prefixed(prefix: str) -> Iterator[None]:
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Whether the first cause is Ctrl-C, which machine code and modules of C++ turn into other errors."""
+    """Whether ``error`` was caused by Ctrl-C; compiled code turns Ctrl-C into other errors."""
     while error.__cause__ is not None:
         error = error.__cause__
     return isinstance(error, KeyboardInterrupt)

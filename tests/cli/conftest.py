@@ -14,7 +14,7 @@ from tso_cli.io.clouds import read_cloud
 
 @pytest.fixture
 def views(folder):
-    """views.json and the three masks that it names, of the chair seen from three sides, in three sizes."""
+    """views.json and the three masks that it names: the chair from three sides, in three sizes."""
     from tso_cli.losses.silhouette import silhouette_of
 
     camera, target = read_camera("camera.json", 256, 256), read_cloud("target.ply").points

@@ -53,7 +53,7 @@ def test_the_running_mean_is_over_the_last_values_there_are(window, means):
     np.testing.assert_allclose(running_mean(np.array([4.0, 2.0, 6.0, 0.0]), window), means)
 
 
-def test_logs_of_one_name_are_told_apart_by_their_folders(log, tmp_path):
+def test_logs_of_one_name_are_labelled_by_their_folders(log, tmp_path):
     (tmp_path / "b").mkdir()
     twin = tmp_path / "b" / log.name
     twin.write_bytes(log.read_bytes())
@@ -99,7 +99,7 @@ def test_the_command_draws_several_logs_of_different_losses_and_one_that_is_zero
 
 
 @pytest.mark.slow
-def test_the_command_draws_samples_spread_over_the_data_beside_the_curves(
+def test_the_command_draws_samples_spread_over_the_data_next_to_the_curves(
     monkeypatch, tmp_path, tso
 ):
     make_thin(monkeypatch)

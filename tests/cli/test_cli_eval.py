@@ -134,7 +134,7 @@ def test_inputs_that_do_not_pair_are_refused(cloud, tmp_path, refusal):
     empty.mkdir()
     assert "expected two files or two folders" in refusal(folder, file)
     assert "expected two files or two folders" in refusal(file, folder)
-    assert "no file to judge" in refusal(folder, empty)
+    assert "no file to evaluate" in refusal(folder, empty)
     assert "missing.ply: no such file" in refusal(file, tmp_path / "missing.ply")
     assert "is a file" in refusal(file, file, "--suffix", ".refined")
     np.save(folder / "a.npy", points_of(0))
@@ -160,7 +160,7 @@ CHAIR_MESH = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
 
 
 def papers_chamfer(prediction, thinned=1024):
-    """The paper's evaluation: 16,384 points of a mesh, farthest-point sampling, each cloud in its own box."""
+    """The paper's: 16,384 points of a mesh, farthest-point sampling, each cloud in its own box."""
     mesh = read_mesh(CHAIR_MESH)
     clouds = (
         read_cloud(prediction).points,
@@ -229,14 +229,14 @@ def test_a_surface_against_itself_is_as_far_as_two_samples_of_it(square, run, do
         "prediction and target draw their own points" in run(square, square, "--samples", 4000).out
     )
     distance = document(square, square, "--samples", 4000)["mean"]
-    # Of N points at random on an area A the nearest to any place is at a mean squared distance of A / (pi N).
+    # The nearest of N random points on an area A has the mean squared distance A / (pi N).
     assert distance["forward"] == pytest.approx(4 / (np.pi * 4000), rel=0.1)
     assert distance["backward"] == pytest.approx(distance["forward"], rel=0.1)
     assert document(square, square, "--vertices")["mean"]["chamfer"] == 0.0
     assert "draw" not in run(square, square, "--vertices").out
 
 
-def test_a_single_point_is_judged_by_distance_and_not_by_its_own_size(
+def test_a_single_point_is_compared_by_distance_and_not_by_its_own_size(
     tmp_path, run, document, refusal
 ):
     one, two = tmp_path / "one.xyz", tmp_path / "two.xyz"
@@ -278,7 +278,7 @@ def test_meshes_and_voxel_grids_are_compared_by_their_surface_and_this_is_logged
     mesh = square.with_name("b.ply")
     mesh.write_text(SQUARE_PLY)
     result = run(square, mesh, "--samples", 500, "--json")
-    assert "prediction: 1 of 1 are meshes, judged by 500 points of the surface" in result.err
+    assert "prediction: 1 of 1 are meshes, compared by 500 points of the surface" in result.err
     (pair,) = result.document["pairs"]
     assert (pair["prediction_kind"], pair["prediction_points"]) == ("mesh", 500)
     assert document(mesh, mesh, "--vertices")["pairs"][0]["prediction_points"] == 4
@@ -305,10 +305,10 @@ def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud, run, docume
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--points", 1], "--points is 1"),
-        (["--samples", 1], "--samples is 1"),
-        (["--samples", 10, "--points", 20], "as many as --points"),
-        (["--f-score", "--threshold", 0], "--threshold is 0"),
+        (["--points", 1], "points is 1"),
+        (["--samples", 1], "samples is 1"),
+        (["--samples", 10, "--points", 20], "as many as points"),
+        (["--f-score", "--threshold", 0], "threshold is 0"),
         (["--threshold", 1], "--threshold serves --f-score"),
         (["--iou"], "--iou needs --mask"),
         (["--camera", "."], "serve --iou"),
@@ -322,7 +322,7 @@ def test_options_that_make_no_sense_are_refused(cloud, options, message, refusal
 
 @pytest.fixture
 def pictured(cloud, tmp_path):
-    """A folder with a dense cloud in the left half of the picture, as `cloud.ply`, and its mask and camera."""
+    """A folder with `cloud.ply`, dense and in the left half of the picture, its mask and camera."""
     points = np.stack(
         np.meshgrid(np.linspace(-0.5, 0.0, 40), np.linspace(-0.25, 0.25, 40), 0.0), -1
     ).reshape(-1, 3)
@@ -386,7 +386,7 @@ def test_iou_without_a_fitting_camera_is_refused(pictured, refusal):
     cloud, masked = pictured / "cloud.ply", ("--iou", "--mask", pictured / "mask.png")
     assert "names no mask" in refusal(cloud, cloud, "--iou", "--camera", pictured / "camera.json")
     (pictured / "camera.json").unlink()
-    assert "no mask.camera.json or camera.json beside it" in refusal(cloud, cloud, *masked)
+    assert "found no mask.camera.json or camera.json next to it" in refusal(cloud, cloud, *masked)
     write_cameras(pictured / "small.json", [CameraRecord(Camera.canonical(16, 32))])
     message = refusal(cloud, cloud, *masked, "--camera", pictured / "small.json")
     assert "16x32" in message

@@ -35,7 +35,9 @@ def test_four_lines_say_what_was_written_how_well_it_agrees_how_far_it_moved_and
 ):
     run = refine(*POINTS, "--steps", "12")
     lines = run.out.splitlines()
-    assert (run.code, run.err, len(lines)) == (0, "", 4)
+    assert run.code == 0
+    assert run.err == ""
+    assert len(lines) == 4
     assert lines[0] == "initial.refined.ply: 1,024 points"
     assert re.fullmatch(
         r"  IoU    0\.\d{3} -> 0\.\d{3} with the mask \(improved, confidence 0\.\d\d\)", lines[1]
@@ -55,22 +57,24 @@ def test_json_is_one_document_with_all_promised_entries(folder, refine):
         *POINTS, "--steps", "12", "-o", "out.ply", "--overlay", "out.png", "--json"
     ).document
     promised = (
-        "mode output camera steps stop_reason warnings iou_before iou_after loss_before loss_after moved_mean moved_max "
-        "chamfer_to_initial symmetry_outcome seconds frame points sigma_sq device version"
+        "mode preset output overlay camera views assume steps best_step stop_reason losses "
+        "iou_before iou_after loss_before loss_after moved_mean moved_max chamfer_to_initial "
+        "moving points outliers symmetry symmetry_outcome symmetry_reason learning_rate gamma "
+        "sigma_sq device checkpoint frame confidence verdict reason warnings suspects step_taken "
+        "budget convention seconds version"
     )
     assert set(promised.split()) <= set(document)
-    assert (document["mode"], document["frame"], document["points"]) == ("points", "input", 1024)
+    assert document["mode"] == "points"
+    assert document["frame"] == "input"
+    assert document["points"] == 1024
     assert document["iou_after"] > document["iou_before"]
     assert document["loss_after"] < document["loss_before"]
-    assert (document["stop_reason"], document["warnings"], document["symmetry_outcome"]) == (
-        "max_steps",
-        [],
-        "used",
-    )
+    assert document["stop_reason"] == "max_steps"
+    assert document["warnings"] == []
+    assert document["symmetry_outcome"] == "used"
     moved = np.linalg.norm(refined("out.ply") - refined("initial.ply"), axis=1)
-    assert (document["moved_mean"], document["moved_max"]) == pytest.approx(
-        (moved.mean(), moved.max()), rel=1e-4
-    )
+    assert document["moved_mean"] == pytest.approx(moved.mean(), rel=1e-4)
+    assert document["moved_max"] == pytest.approx(moved.max(), rel=1e-4)
     assert document["version"] == __version__
     assert {"read", "optimise", "write", "total"} <= set(document["seconds"])
     with Image.open("out.png") as picture:
@@ -128,16 +132,8 @@ def test_a_camera_that_names_another_mask_is_warned_of(folder, refine):
 def test_several_masks_of_their_own_sizes_and_cameras_refine_one_cloud_and_bring_it_nearer_than_one(
     views, refine
 ):
-    files = (
-        "initial.ply",
-        *views,
-        "--camera",
-        "views.json",
-        "-o",
-        "out.ply",
-        "--overlay",
-        "out.png",
-    )
+    outputs = ("-o", "out.ply", "--overlay", "out.png")
+    files = ("initial.ply", *views, "--camera", "views.json", *outputs)
     document = refine(*files, "--steps", "24", *PLAIN, "--json").document
     assert [view["mask"] for view in document["views"]] == ["front.png", "side.png", "back.png"]
     assert [view["camera"]["width"] for view in document["views"]] == [64, 96, 128]
@@ -162,7 +158,8 @@ def test_named_masks_may_come_in_any_order_or_be_left_out(views, refine):
     named = refine(*common, "named.ply").document["views"]
     reversed_views = refine(*common, "reversed.ply", *views[::-1]).document["views"][::-1]
     for view, same in zip(named, reversed_views, strict=True):
-        assert (view["mask"], view["camera"]) == (same["mask"], same["camera"])
+        assert view["mask"] == same["mask"]
+        assert view["camera"] == same["camera"]
         assert view["iou_after"] == pytest.approx(same["iou_after"], abs=0.01)
 
 
@@ -236,7 +233,8 @@ def test_a_view_that_the_others_contradict_is_discounted_and_named(views, refine
 def test_the_network_modes_refine_the_networks_cloud(mode, folder, checkpoint, refine):
     files = ("image.png", "mask.png", "--checkpoint", checkpoint)
     document = refine("--mode", mode, *files, "--steps", "2", "--json").document
-    assert (document["frame"], document["points"]) == ("view", 128)
+    assert document["frame"] == "view"
+    assert document["points"] == 128
     assert document["loss_after"] <= document["loss_before"]
     assert refined("image.refined.ply").shape == (128, 3)
 
@@ -257,9 +255,8 @@ def test_without_a_checkpoint_the_shipped_one_refines_and_is_named(
     assert refine(*ENCODER, "-o", "a.ply", "--json").document["checkpoint"] == str(shipped)
     used = f"used   network {checkpoint}; camera camera.json (only its K); "
     assert used in refine(*ENCODER, "-o", "b.ply", "--checkpoint", checkpoint).out
-    assert (
-        "used   shipped network; " in refine(*ENCODER, "-o", "c.ply", "--checkpoint", "default").out
-    )
+    named = refine(*ENCODER, "-o", "c.ply", "--checkpoint", "default")
+    assert "used   shipped network; " in named.out
     assert Path("a.ply").read_bytes() == Path("b.ply").read_bytes() == Path("c.ply").read_bytes()
 
 
@@ -269,7 +266,7 @@ def test_a_file_called_default_is_meant_by_a_path_to_it(folder, checkpoint, ship
         assert f"checkpoint: {path}\n" in refine(*ENCODER, "--check", "--checkpoint", name).err
 
 
-def test_an_installation_without_its_network_is_said_so(folder, shipped, refine):
+def test_an_installation_without_its_network_is_reported(folder, shipped, refine):
     shipped.unlink()
     for arguments in (ENCODER, (*ENCODER, "--checkpoint", "default")):
         message = refine(*arguments).refusal
@@ -285,7 +282,8 @@ def test_the_shipped_network_is_small_view_aligned_and_refines_the_examples(fold
     assert path.stat().st_size <= 16_000_000
     assert {tensor.dtype for tensor in load_file(path).values()} == {torch.float16}
     config, _ = read_metadata(path)
-    assert (config.frame, config.points) == ("view", 1024)
+    assert config.frame == "view"
+    assert config.points == 1024
     document = refine(
         "--mode", "latent", "image.png", "mask.png", "--steps", "10", "--json"
     ).document
@@ -299,31 +297,18 @@ def test_a_view_aligned_cloud_can_be_had_in_world_coordinates(folder, checkpoint
     ).document
     assert world["frame"] == "world"
     # In the world of the camera file, the cloud falls on the mask as it is.
-    assert (
-        refine("world.ply", "mask.png", "--check", "--json").document["placement"]["box_iou"] > 0.5
-    )
+    check = refine("world.ply", "mask.png", "--check", "--json").document
+    assert check["placement"]["box_iou"] > 0.5
 
 
 def test_a_view_aligned_cloud_can_be_placed_where_the_camera_file_has_the_object(
     folder, checkpoint, refine
 ):
-    common = (
-        "--mode",
-        "latent",
-        "image.png",
-        "mask.png",
-        "--checkpoint",
-        checkpoint,
-        "--steps",
-        "1",
-        "--json",
-    )
-    distances = {
-        placing: refine(*common, "-o", f"{placing}.ply", "--place", placing).document["camera"][
-            "t"
-        ][2]
-        for placing in ("silhouette", "box", "camera")
-    }
+    common = ("image.png", "mask.png", "--mode", "latent", "--steps", "1", "--json")
+    distances = {}
+    for placing in ("silhouette", "box", "camera"):
+        options = ("--checkpoint", checkpoint, "-o", f"{placing}.ply", "--place", placing)
+        distances[placing] = refine(*common, *options).document["camera"]["t"][2]
     assert distances["camera"] == json.loads(Path("camera.json").read_text())["t"][2]
     assert len(set(distances.values())) == 3
 
@@ -334,25 +319,23 @@ def test_a_network_without_a_camera_file_sees_the_crop_through_the_canonical_cam
     Path("camera.json").unlink()
     arguments = (*ENCODER, "--checkpoint", checkpoint)
     assert refine(*arguments, "--json").document["camera"]["K"][0][0] == 120.0
-    for option in (("--frame", "world"), ("--place", "camera")):
-        assert f"{' '.join(option)} needs" in refine(*arguments, *option, "-o", "w.ply").refusal
+    for name, value in (("frame", "world"), ("place", "camera")):
+        refusal = refine(*arguments, f"--{name}", value, "-o", "w.ply").refusal
+        assert f"--{name} {value} needs the camera's " in refusal
+        assert refusal.endswith("found no camera file, expected one (--camera FILE)")
 
 
 def test_a_canonical_frame_network_needs_a_camera_file(folder, refine):
-    arguments = (
-        *ENCODER,
-        "--checkpoint",
-        save_untrained(Path("canonical.safetensors"), "canonical"),
-        "--overwrite",
-    )
+    network = save_untrained(Path("canonical.safetensors"), "canonical")
+    arguments = (*ENCODER, "--checkpoint", network, "--overwrite")
     assert refine(*arguments, "--json").document["frame"] == "canonical"
-    for option in (("--place", "box"), ("--frame", "world")):
-        assert (
-            f"{' '.join(option)}, which is for view-aligned networks"
-            in refine(*arguments, *option).refusal
-        )
+    for name, value in (("place", "box"), ("frame", "world")):
+        refusal = refine(*arguments, f"--{name}", value).refusal
+        assert f"found --{name} {value}, which is for view-aligned networks" in refusal
     Path("camera.json").unlink()
-    assert "R and t" in refine(*arguments).refusal
+    refusal = refine(*arguments).refusal
+    assert "R and t" in refusal
+    assert "(--camera FILE)" in refusal
 
 
 def test_an_interrupt_writes_the_best_so_far(folder, refine, monkeypatch):
@@ -370,51 +353,128 @@ def test_an_interrupt_writes_the_best_so_far(folder, refine, monkeypatch):
     assert Path("initial.refined.ply").exists()
 
 
-# Damage to a file of the folder, arguments, and words of the error; tests/io has those of the readers.
+# Damage to a file of the folder, arguments, and words of the error. tests/io has more damage.
 BAD = {
     "missing cloud": ("", "nowhere.ply mask.png", "nowhere.ply exist"),
     "missing mask": ("", "initial.ply nowhere.png", "nowhere.png"),
     "mask all background": ("mask:bad.png:256:0", "initial.ply bad.png", "bad.png foreground"),
-    "camera of another size": ("set:camera.json:width:64", "initial.ply mask.png", "camera.json 64x256 256x256"),
-    "checkpoint for points mode": ("", "initial.ply mask.png --checkpoint base.safetensors", "points base.safetensors"),
-    "checkpoint as the cloud": ("text:base.safetensors:x", "base.safetensors mask.png", "base.safetensors checkpoint"),
-    "image of another size": ("resize:image.png", "image.png mask.png ENCODER CHECKPOINT", "image.png 128x128 256x256"),
-    "frame in points mode": ("", "initial.ply mask.png --frame world", "--frame"),
-    "place in points mode": ("", "initial.ply mask.png --place camera", "--place camera"),
-    "missing output folder": ("", "initial.ply mask.png -o nowhere/out.ply", "nowhere exist"),
-    "existing output": ("text:out.ply:precious", "initial.ply mask.png -o out.ply", "out.ply exists --overwrite"),
-    "output of another format": ("", "initial.ply mask.png -o out.obj", "out.obj .ply"),
-    "negative steps": ("", "initial.ply mask.png --steps -3", "steps -3"),
-    "gamma no number": ("", "initial.ply mask.png --gamma nan", "gamma"),
-    "sigma huge": ("", "initial.ply mask.png --sigma-sq 1e5", "sigma_sq 256"),
-    "overlay over the mask": ("", "initial.ply mask.png --overlay mask.png --overwrite", "mask.png input"),
+    "mask all object": ("mask:bad.png:256:255", "initial.ply bad.png", "bad.png --invert-mask"),
+    "camera of another size": ("set:camera.json:width:64", "POINTS", "camera.json 64x256 256x256"),
+    "checkpoint for points mode": (
+        "",
+        "POINTS --checkpoint base.safetensors",
+        "points base.safetensors",
+    ),
+    "checkpoint as the cloud": (
+        "text:base.safetensors:x",
+        "base.safetensors mask.png",
+        "base.safetensors checkpoint",
+    ),
+    "image of another size": ("resize:image.png", "NETWORK", "image.png 128x128 256x256"),
+    "frame in points mode": ("", "POINTS --frame world", "--frame"),
+    "place in points mode": ("", "POINTS --place camera", "--place camera"),
+    "missing output folder": ("", "POINTS -o nowhere/out.ply", "nowhere exist"),
+    "existing output": ("text:out.ply:precious", "POINTS -o out.ply", "out.ply exists --overwrite"),
+    "output of another format": ("", "POINTS -o out.obj", "out.obj .ply"),
+    "negative steps": ("", "POINTS --steps -3", "steps -3"),
+    "gamma no number": ("", "POINTS --gamma nan", "gamma"),
+    "sigma huge": ("", "POINTS --sigma-sq 1e5", "sigma_sq 256"),
+    "overlay over the mask": ("", "POINTS --overlay mask.png --overwrite", "mask.png input"),
     "no mask given": ("", "initial.ply", "MASK"),
-    "unknown device": ("", "initial.ply mask.png --device warp", "warp"),
-    "ignore map of another size": ("resize:image.png", "initial.ply mask.png --ignore image.png", "image.png 128x128 256x256"),
-    "more masks than views": ("", "initial.ply mask.png image.png --camera camera.json", "camera.json 1 view 2 masks"),
-    "masks without cameras": ("unlink:camera.json", "initial.ply mask.png image.png", "camera file 2 masks"),
+    "unknown device": ("", "POINTS --device warp", "warp"),
+    "ignore map of another size": (
+        "resize:image.png",
+        "POINTS --ignore image.png",
+        "image.png 128x128 256x256",
+    ),
+    "more masks than views": (
+        "",
+        "POINTS image.png --camera camera.json",
+        "camera.json 1 view 2 masks",
+    ),
+    "masks without cameras": (
+        "unlink:camera.json",
+        "POINTS image.png",
+        "camera file 2 masks --camera",
+    ),
     "no mask and no camera": ("", "initial.ply --overlay out.png", "MASK --camera"),
-    "views that name no mask": ("", "initial.ply --camera camera.json", r"camera.json views\[0\] names no mask"),
-    "ignore maps for some": ("", "initial.ply mask.png --ignore mask.png --ignore mask.png", "--ignore 2 ignore maps 1 mask"),
-    "two masks for a network": ("", "image.png mask.png mask.png ENCODER CHECKPOINT", "encoder MASK 2 once"),
+    "views that name no mask": (
+        "",
+        "initial.ply --camera camera.json",
+        r"camera.json views\[0\] names no mask",
+    ),
+    "ignore maps for some": (
+        "",
+        "POINTS --ignore mask.png --ignore mask.png",
+        "2 ignore maps 1 mask --ignore",
+    ),
+    "two masks for a network": (
+        "",
+        "image.png mask.png mask.png ENCODER CHECKPOINT",
+        "encoder MASK 2 once",
+    ),
     "no mask for a network": ("", "image.png ENCODER CHECKPOINT", "encoder MASK 0 once"),
-    "two ignore maps": ("", "image.png mask.png ENCODER CHECKPOINT --ignore a.png --ignore b.png", "encoder --ignore 2 once"),
-    "a GPU without a network": ("", "initial.ply mask.png --device cuda", r"'cuda',\sexpected\scpu\sor\sauto points no"),
-    "cloud elsewhere": ("move:initial.ply", "initial.ply mask.png", "mask.png --check"),
-    "depth map of another size": ("mask:bad.png:8:9", "initial.ply mask.png --depth bad.png", "bad.png 8x8 mask.png 256x256"),
-    "two depth maps": ("", "initial.ply mask.png --depth mask.png --depth mask.png", "2 depth maps 1 masks each or none"),
-    "depth map in colours": ("", "initial.ply mask.png --depth image.png", "image.png mode RGB one grey channel"),
-    "missing depth map": ("", "initial.ply mask.png --depth none.png", "none.png does not exist"),
-    "scale without a depth map": ("", "initial.ply mask.png --depth-scale 0.001", "--depth-scale 0.001 nothing --depth FILE"),
-    "depth, preset paper": ("", "initial.ply mask.png --depth mask.png --preset paper", "--depth points best paper"),
-    "depth, fitted camera": ("", "initial.ply mask.png --depth mask.png --camera fit", "--depth distance --camera fit"),
-    "depth for a network": ("", "image.png mask.png --depth mask.png --mode latent", "--depth points best latent"),
-    "photo of a cloud without colours": ("", "initial.ply mask.png --image image.png", "initial.ply no colours red green blue"),
-    "photo, preset paper": ("", "initial.ply mask.png --image image.png --preset paper", "--image points best paper"),
-    "photo for a network": ("", "image.png mask.png --image image.png --mode latent", "--image points best latent"),
-    "quiet and verbose": ("", "initial.ply mask.png -q -v", "--quiet --verbose one of the two"),
-    "a line break and a control character in a name": ("", "no\n\x1b[31mwhere.ply mask.png", r"no \\x1b\[31mwhere.ply"),
-}  # fmt: skip
+    "two ignore maps": ("", "NETWORK --ignore a.png --ignore b.png", "encoder --ignore 2 once"),
+    "a GPU without a network": (
+        "",
+        "POINTS --device cuda",
+        r"'cuda',\sexpected\scpu\sor\sauto points no",
+    ),
+    "cloud elsewhere": ("move:initial.ply", "POINTS", "mask.png --check"),
+    "depth map of another size": (
+        "mask:bad.png:8:9",
+        "POINTS --depth bad.png",
+        "bad.png 8x8 mask.png 256x256",
+    ),
+    "two depth maps": (
+        "",
+        "POINTS --depth mask.png --depth mask.png",
+        "2 depth maps 1 masks --depth",
+    ),
+    "depth map in colours": ("", "POINTS --depth image.png", "image.png mode RGB one grey channel"),
+    "missing depth map": ("", "POINTS --depth none.png", "none.png does not exist"),
+    "scale without a depth map": (
+        "",
+        "POINTS --depth-scale 0.001",
+        "--depth-scale 0.001 --depth FILE",
+    ),
+    "depth, preset paper": (
+        "",
+        "POINTS --depth mask.png --preset paper",
+        "--depth points best paper",
+    ),
+    "depth, fitted camera": (
+        "",
+        "POINTS --depth mask.png --camera fit",
+        "--depth distance --camera fit",
+    ),
+    "depth for a network": (
+        "",
+        "image.png mask.png --depth mask.png --mode latent",
+        "--depth points best latent",
+    ),
+    "photo of a cloud without colours": (
+        "",
+        "POINTS --image image.png",
+        "initial.ply no colours red green blue",
+    ),
+    "photo, preset paper": (
+        "",
+        "POINTS --image image.png --preset paper",
+        "--image points best paper",
+    ),
+    "photo for a network": (
+        "",
+        "image.png mask.png --image image.png --mode latent",
+        "--image points best latent",
+    ),
+    "quiet and verbose": ("", "POINTS -q -v", "--quiet --verbose one of the two"),
+    "a line break and a control character in a name": (
+        "",
+        "no\n\x1b[31mwhere.ply mask.png",
+        r"no \\x1b\[31mwhere.ply",
+    ),
+}
 
 
 def _change_json(path: Path, change) -> None:
@@ -445,9 +505,10 @@ def test_what_cannot_work_gets_one_line_and_exit_code_two_and_writes_nothing(
         verb, name, *values = action.split(":")
         DAMAGE[verb](Path(name), *values)
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-    arguments = arguments.replace("ENCODER", "--mode encoder --checkpoint").replace(
-        "CHECKPOINT", str(checkpoint)
-    )
+    arguments = arguments.replace("POINTS", "initial.ply mask.png")
+    arguments = arguments.replace("NETWORK", "image.png mask.png ENCODER CHECKPOINT")
+    arguments = arguments.replace("ENCODER", "--mode encoder --checkpoint")
+    arguments = arguments.replace("CHECKPOINT", str(checkpoint))
     message = refine(*arguments.split(" ")).refusal
     for word in words.split():
         assert re.search(word.replace(".", r"\."), message), f"{word!r} not in {message!r}"

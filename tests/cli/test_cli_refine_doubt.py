@@ -1,4 +1,4 @@
-"""What `tso refine` says of input that looks wrong, and of results that are likely worse."""
+"""What `tso refine` says of input that looks wrong, and of results that may be worse."""
 
 import json
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from tests.scenes import EXAMPLES
-from tso_cli.diagnosis.hypotheses import ASSUMPTIONS
+from tso_cli.diagnosis.hypotheses import HYPOTHESES
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_mask
@@ -32,22 +32,24 @@ def to_world(folder):
     write_cameras(Path("camera.json"), [CameraRecord(pose)], overwrite=True)
 
 
-def test_the_json_of_a_result_and_of_a_check_hold_the_same_judgement(folder, refine):
-    result, check = (
-        refine(*POINTS, "--json").document,
-        refine(*POINTS, "--check", "--json").document,
-    )
+def test_the_json_of_a_result_and_of_a_check_have_the_same_entries_of_a_verdict(folder, refine):
+    result = refine(*POINTS, "--json").document
+    check = refine(*POINTS, "--check", "--json").document
     assert set(result) >= CONTRACT
     assert set(check) >= CONTRACT
-    assert (result["verdict"], result["reason"], result["suspects"]) == ("improved", "", [])
+    assert result["verdict"] == "improved"
     assert 0.5 < result["confidence"] <= 1.0
-    assert (check["verdict"], check["confidence"], check["suspects"]) == (None, None, [])
+    assert check["verdict"] is None
+    assert check["confidence"] is None
+    for document in (result, check):
+        assert document["reason"] == ""
+        assert document["suspects"] == []
 
 
 @pytest.mark.parametrize(
     "options", [(), ("--preset", "paper"), ("--points", "256"), ("--steps", "0")]
 )
-def test_a_check_hints_at_what_a_refinement_with_the_same_options_does(folder, refine, options):
+def test_a_check_finds_what_a_refinement_with_the_same_options_finds(folder, refine, options):
     Image.fromarray(np.asarray(Image.open("mask.png"))[:, ::-1]).save("mask.png")
     result, check = (
         refine(*POINTS, *options, *more, "--json").document for more in ((), ("--check",))
@@ -72,36 +74,37 @@ def test_a_strict_check_of_what_looks_wrong_fails(inverted, refine):
     assert json.loads(run.out)["verdict"] == "doubtful"
 
 
-def test_an_inverted_mask_is_told_with_the_option_that_mends_it(inverted, refine):
+def test_an_inverted_mask_is_reported_with_the_option_that_mends_it(inverted, refine):
     run = refine(*POINTS)
-    assert (run.code, run.err.count("\n")) == (0, 1)
-    assert "is doubtful" in run.err
+    assert run.code == 0
+    assert run.err.count("\n") == 1
+    assert "the result is doubtful, so the cloud is left as it was: it looks as if" in run.err
     assert "the mask is inverted: try --assume mask-inverted" in run.err
     assert "(doubtful, confidence" in run.out
-    assert "nothing: the step is doubtful (--accept-doubtful" in run.out
+    assert "nothing: the displacement is doubtful (--accept-doubtful takes it all the" in run.out
     assert (read_cloud("initial.refined.ply").points == read_cloud("initial.ply").points).all()
-    assert (
-        refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document["step_taken"]
-        == 1.0
-    )
+    accepted = refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document
+    assert accepted["step_taken"] == 1.0
     document = refine(*POINTS, "--check", "--json").document
-    (suspect, *_) = document["suspects"]
-    assert (document["verdict"], document["confidence"]) == ("doubtful", None)
-    assert (suspect["what"], suspect["option"]) == (
-        "the mask is inverted",
-        "--assume mask-inverted",
-    )
-    assert 0.4 < suspect["score"] <= 1.0
+    assert document["verdict"] == "doubtful"
+    assert document["confidence"] is None
     assert "mask-inverted" in document["warnings"][0]
+    (suspect, *_) = document["suspects"]
+    assert suspect["what"] == "the mask is inverted"
+    assert suspect["option"] == "--assume mask-inverted"
+    assert 0.4 < suspect["score"] <= 1.0
 
 
 def test_strict_writes_nothing_where_the_result_is_doubtful(inverted, refine, tmp_path):
     run = refine(*POINTS, "--strict", "-o", "strict.ply", "--overlay", "strict.png")
-    assert (run.code, run.out) == (3, "")
+    assert run.code == 3
+    assert run.out == ""
     assert "with --strict nothing is written" in run.err
     assert not list(tmp_path.glob("**/strict*"))
     document = json.loads(refine(*POINTS, "--strict", "--json").out)
-    assert (document["verdict"], document["output"], document["assume"]) == ("doubtful", None, [])
+    assert document["verdict"] == "doubtful"
+    assert document["output"] is None
+    assert document["assume"] == []
     assert refine(*POINTS, "--strict", "--assume", "mask-inverted", "-o", "strict.ply").code == 0
 
 
@@ -117,40 +120,36 @@ def test_a_result_of_an_unsure_camera_is_doubtful(folder, refine, options):
 
 
 def test_strict_writes_nothing_of_an_unsure_camera(folder, refine, tmp_path):
-    run = refine(
-        str(EXAMPLES / "airplane" / "initial.ply"),
-        "mask.png",
-        "--camera",
-        "fit",
-        "--strict",
-        "-o",
-        "other.ply",
-    )
+    other = str(EXAMPLES / "airplane" / "initial.ply")
+    run = refine(other, "mask.png", "--camera", "fit", "--strict", "-o", "other.ply")
     assert run.code == 3
+    assert "the fitted camera is unsure" in run.err
     assert not (tmp_path / "other.ply").exists()
 
 
-def test_strict_writes_nothing_that_a_short_budget_left_no_time_to_judge(folder, refine, tmp_path):
-    run = refine(*POINTS, "--strict", "--budget", "1e-6", "-o", "strict.ply")
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (("--steps", "11"), "11 steps are too few"),
+        (("--budget", "1e-6"), "1e-06 s were too few"),
+        (("--depth", "depth.npy"), "a result with a depth map or a photo has none"),
+    ],
+)
+def test_strict_writes_nothing_without_a_confidence(folder, refine, tmp_path, options, reason):
+    np.save("depth.npy", np.where(read_mask("mask.png") > 0.5, 2.0, 0.0))
+    run = refine(*POINTS, "--strict", *options, "-o", "strict.ply")
     assert run.code == 3
-    assert "the result is not judged: 1e-06 s were too few; with --strict nothing" in run.err
+    expected = f"initial.ply: the result is without confidence: {reason}; with --strict nothing is"
+    assert expected in run.err
     assert not list(tmp_path.glob("**/strict*"))
 
 
-def test_strict_writes_nothing_that_is_not_judged(folder, refine, tmp_path):
-    np.save("depth.npy", np.where(read_mask("mask.png") > 0.5, 2.0, 0.0))
-    for reason, *options in (
-        ("11 steps are too few", "--steps", "11"),
-        ("none with a depth map", "--depth", "depth.npy"),
-    ):
-        run = refine(*POINTS, "--strict", *options, "-o", "strict.ply")
-        assert run.code == 3
-        assert f"initial.ply: the result is not judged: {reason}" in run.err
-    paper = refine(*POINTS, "--strict", "--preset", "paper", "-o", "strict.ply")
+def test_strict_is_refused_where_no_result_has_a_confidence(folder, refine, tmp_path):
+    run = refine(*POINTS, "--strict", "--preset", "paper", "-o", "strict.ply")
     assert (
-        "--strict is for results that are judged, of --mode points --preset best, found --mode points --pre"
-        in paper.refusal
-    )
+        "--strict is for results with a confidence, of --mode points --preset best, found "
+        "--mode points --preset paper"
+    ) in run.refusal
     assert not list(tmp_path.glob("**/strict*"))
 
 
@@ -176,18 +175,7 @@ def test_a_cloud_in_other_axes_is_refined_as_meant_and_written_in_its_own(folder
     assert abs(plane @ document["symmetry"][:3]) == pytest.approx(1.0, abs=1e-9)
     assert document["assume"] == ["cloud-z-up"]
     # A camera of the cloud as it is, and planes of its own axes: its x is the scene's.
-    refine(
-        "up.ply",
-        "mask.png",
-        "--assume",
-        "cloud-z-up",
-        "-o",
-        "x.ply",
-        "--symmetry",
-        "x",
-        "--write-camera",
-        "up.json",
-    )
+    refine(*up, "x.ply", "--symmetry", "x", "--write-camera", "up.json")
     assert refine("up.ply", "mask.png", "--camera", "up.json", "-o", "up-again.ply").code == 0
     np.testing.assert_allclose(read_cloud("up-again.ply").points, turned, atol=1e-4)
 
@@ -219,7 +207,7 @@ def test_an_assumption_about_a_mask_that_is_not_there_is_refused(folder, refine)
     run = refine(*POINTS, "--assume", "mask-flipped@other.png")
     assert run.code == 2
     assert (
-        "--assume mask-flipped@other.png: there is no such mask, expected one of mask.png"
+        "--assume is 'mask-flipped@other.png': there is no such mask, expected one of mask.png"
         in run.err
     )
 
@@ -228,17 +216,14 @@ def test_an_assumption_may_name_its_mask_by_the_last_part_of_the_path(folder, re
     Path("a").mkdir()
     for name in ("mask.png", "camera.json"):
         Path(name).rename(Path("a") / name)
-    run = refine(
-        "initial.ply", "a/mask.png", "--assume", "mask-inverted@mask.png", "--check", "--json"
-    )
+    assume = ("--assume", "mask-inverted@mask.png", "--check")
+    run = refine("initial.ply", "a/mask.png", *assume, "--json")
     assert run.code == 0
     assert run.document["suspects"] == []
     Path("b").symlink_to("a")
-    run = refine(
-        "initial.ply", "a/mask.png", "b/mask.png", "--assume", "mask-inverted@mask.png", "--check"
-    )
+    run = refine("initial.ply", "a/mask.png", "b/mask.png", *assume)
     assert run.code == 2
-    assert "@mask.png: there are 2 such masks, expected one of a/mask.png, b/mask.png" in run.err
+    assert "@mask.png': there are 2 such masks, expected one of a/mask.png, b/mask.png" in run.err
 
 
 def test_a_camera_found_beside_the_mask_is_not_overwritten(folder, refine):
@@ -249,10 +234,24 @@ def test_a_camera_found_beside_the_mask_is_not_overwritten(folder, refine):
     assert Path("camera.json").read_bytes() == before
 
 
+def test_list_prints_every_name_and_its_meaning_without_any_input(refine):
+    run = refine("--assume", "list")
+    assert run.code == 0
+    rows = [line.split(maxsplit=1) for line in run.out.splitlines()]
+    assert rows == [[name, one.says] for name, one in HYPOTHESES.items()]
+
+
+def test_a_photo_in_place_of_a_mask_is_warned_of(folder, refine):
+    for options in ((), ("--check",)):
+        run = refine("initial.ply", "image.png", "--json", *options, "-o", "photo.ply")
+        (warning,) = [text for text in run.document["warnings"] if "photo" in text]
+        assert warning.startswith("image.png: looks like a photo, grey in many places; expected")
+
+
 def test_an_unknown_assumption_lists_all(folder, refine):
     run = refine(*POINTS, "--assume", "upside")
     assert run.code == 2
-    assert all(name in run.err for name in ASSUMPTIONS)
+    assert all(name in run.err for name in HYPOTHESES)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
-"""What `tso refine` prints: four lines, every measure with -v, nothing but errors with -q; its warnings and progress."""
+"""What `tso refine` prints: all measures with -v, only errors with -q; warnings and progress."""
 
 import io
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,8 @@ def refine(tso):
 
 def test_verbose_prints_every_measure_and_setting(folder, refine):
     run = refine("initial.ply", "mask.png", "-v", "--steps", "6")
-    assert (run.code, run.err) == (0, "tso: camera: camera.json\n")
+    assert run.code == 0
+    assert run.err == "tso: camera: camera.json\n"
     for words in (
         "loss ",
         "Chamfer to the start",
@@ -37,7 +39,9 @@ def test_quiet_prints_nothing_but_errors_and_the_json_document(folder, refine):
         assert refine("initial.ply", "mask.png", "-q", *option) == (0, "", "")
     assert Path("picture.png").exists()
     run = refine("initial.ply", "mask.png", "-q", "--steps", "0", "--json")
-    assert (run.err, run.document["stop_reason"], run.document["steps"]) == ("", "max_steps", 0)
+    assert run.err == ""
+    assert run.document["stop_reason"] == "max_steps"
+    assert run.document["steps"] == 0
     assert run.document["warnings"] == [
         "nothing moved: no steps were asked for; the cloud is as it was"
     ]
@@ -47,25 +51,15 @@ def test_quiet_prints_nothing_but_errors_and_the_json_document(folder, refine):
 def test_a_run_that_moves_nothing_says_so_and_why(folder, refine):
     why = "none of 3 steps agrees better with what the mask shows than the start does"
     warning = f"nothing moved: {why}; the cloud is as it was"
-    arguments = (
-        "initial.ply",
-        "mask.png",
-        "--preset",
-        "paper",
-        "--learning-rate",
-        "0.5",
-        "--steps",
-        "3",
-    )
+    settings = ("--preset", "paper", "--learning-rate", "0.5", "--steps", "3")
+    arguments = ("initial.ply", "mask.png", *settings)
     run = refine(*arguments)
     assert run.err == f"tso: warning: {warning}\n"
     assert f"  moved  nothing: {why}\n" in run.out
     document = refine(*arguments, "--json").document
-    assert (document["stop_reason"], document["steps"], document["moved_max"]) == (
-        "not_improved",
-        3,
-        0.0,
-    )
+    assert document["stop_reason"] == "not_improved"
+    assert document["steps"] == 3
+    assert document["moved_max"] == 0.0
     assert document["warnings"] == [warning]
 
 
@@ -119,7 +113,7 @@ def test_an_object_of_a_few_pixels_in_a_photo_is_warned_of_in_every_mode(
     )
     seen = f"only {rows * columns} pixels: details smaller than 1/{rows} of its size cannot be seen"
     expected = (
-        "a single pixel, which tells where it is and nothing of its shape" if rows == 1 else seen
+        "a single pixel, which shows where it is and nothing of its shape" if rows == 1 else seen
     )
     source = ("initial.ply",) if mode == "points" else ("photo.png", "--checkpoint", checkpoint)
     for preset in ("best", "paper"):
@@ -149,12 +143,15 @@ class _Terminal(io.StringIO):
     def isatty(self):
         return True
 
+    def fileno(self):
+        return 2
+
 
 @pytest.mark.parametrize("columns", [80, 40, 24])
-def test_the_bar_stays_on_one_line_and_tells_the_time_left(columns, monkeypatch):
+def test_the_bar_stays_on_one_line_and_shows_the_time_left(columns, monkeypatch):
     terminal, clock = _Terminal(), iter(range(100))
     monkeypatch.setattr("sys.stderr", terminal)
-    monkeypatch.setattr(options, "_columns", lambda: columns)
+    monkeypatch.setattr(os, "get_terminal_size", lambda *_: os.terminal_size((columns, 24)))
     monkeypatch.setattr(options.time, "monotonic", lambda: 10.0 * next(clock))
     bar = options.ProgressBar("tso: refining")
     for step in range(1, 9):
@@ -189,7 +186,7 @@ def test_a_log_gets_no_progress(folder, refine, monkeypatch):
     assert refine("initial.ply", "mask.png", "--steps", "2").code == 0
 
 
-def test_the_help_is_one_screen_and_tells_of_a_longer_one(refine, tso):
+def test_the_help_is_one_screen_and_names_a_longer_one(refine, tso):
     brief, whole = (tso("refine", option).out for option in ("--help", "--help-all"))
     assert len(brief.splitlines()) <= 48
     assert "--help-all" in brief
@@ -206,17 +203,18 @@ def test_a_budget_says_what_was_decided_and_why(folder, refine):
     decisions = {decision["what"]: decision for decision in document["budget"]["decisions"]}
     assert decisions["steps"]["reason"] == "1e-06 s were over"
     assert decisions["points"]["choice"] == "512 of 1024"
-    assert (
-        "spent  steps: 96 (the budget is full)"
-        in refine("initial.ply", "mask.png", "-v", "--budget", "full").out
-    )
-    assert refine("initial.ply", "mask.png", "--budget", "soon").refusal.endswith(
-        "expected auto, full or seconds"
-    )
+    run = refine("initial.ply", "mask.png", "-v", "--steps", "6")
+    assert "  spent  steps: 6 (" in run.out
+
+
+@pytest.mark.parametrize("budget", ["soon", "full", "-1", "nan"])
+def test_a_budget_that_is_no_time_is_refused(folder, refine, budget):
+    refusal = refine("initial.ply", "mask.png", "--budget", budget).refusal
+    assert f"budget is '{budget}'" in refusal or f"budget is {budget}" in refusal
+    assert "expected auto or seconds" in refusal
+
+
+def test_points_are_a_number_or_auto(folder, refine):
+    run = refine("initial.ply", "mask.png", "--points", "auto", "--steps", "2", "--json")
+    assert run.document["moving"] == 1024
     assert "--points" in refine("initial.ply", "mask.png", "--points", "none").err
-    assert (
-        refine("initial.ply", "mask.png", "--points", "auto", "-o", "auto.ply", "--json").document[
-            "moving"
-        ]
-        == 1024
-    )

@@ -1,4 +1,4 @@
-"""Whatever goes wrong around a command, it says so in one line, and no file is lost, half written or left over."""
+"""Whatever goes wrong, a command says so in one line; no file is lost, half written or left."""
 
 import errno
 import json
@@ -95,7 +95,7 @@ def test_of_two_writers_of_one_name_one_succeeds(tmp_path, monkeypatch, links):
         )
     path = tmp_path / "out.txt"
     with (
-        pytest.raises(InputError, match="exists already.*--overwrite"),
+        pytest.raises(InputError, match="exists already.*`overwrite`"),
         atomic_output(path, overwrite=False) as slow,
     ):
         slow.write_text("slow")
@@ -105,7 +105,7 @@ def test_of_two_writers_of_one_name_one_succeeds(tmp_path, monkeypatch, links):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_killed_runs_left_of_a_file_is_removed_but_for_what_a_living_one_writes(tmp_path):
+def test_what_killed_runs_left_of_a_file_is_removed_except_what_a_living_one_writes(tmp_path):
     names = (
         ".out.0123456789ab.ply",
         ".out.ba9876543210.ply",
@@ -138,7 +138,8 @@ def test_a_signal_while_files_are_written_leaves_none(folder, name):
 
 def test_nohup_stays_nohup(folder):
     program = (
-        "import os, signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\nfrom tso_cli.cli import main\n"
+        "import os, signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
+        "from tso_cli.cli import main\n"
         "from tso_cli.plots import overlay\ndraw = overlay.draw_overlay\n"
         "overlay.draw_overlay = lambda *a: (os.kill(os.getpid(), signal.SIGHUP), draw(*a))\nmain()"
     )
@@ -190,7 +191,8 @@ DAMAGES = {
     "a folder": lambda path: (path.unlink(), path.mkdir()),
 }
 SQUARE = (
-    "import sys, warnings\nimport numpy as np\nwarnings.showwarning = lambda message, *_, **__: print(message)\n"
+    "import sys, warnings\nimport numpy as np\n"
+    "warnings.showwarning = lambda message, *_, **__: print(message)\n"
     "from tso_cli.kernels import points_numba\n"
     "print(points_numba.chamfer(*np.zeros((2, 3, 3)), *np.zeros((2, 3), int), np.zeros((3, 3))))"
 )
@@ -305,7 +307,8 @@ def test_a_record_that_cannot_be_gone_on_from_is_named(tso, tmp_path):
 
 HOLD = (
     "import os, sys\nfrom pathlib import Path\nfrom tso_cli.io.output import sole_writer\n"
-    "with sole_writer(Path(sys.argv[1])):\n    os.fork() or sys.exit(sys.stdin.read())\n    print(flush=True)\n    os.wait()"
+    "with sole_writer(Path(sys.argv[1])):\n    os.fork() or sys.exit(sys.stdin.read())\n"
+    "    print(flush=True)\n    os.wait()"
 )
 
 
@@ -373,10 +376,8 @@ def test_a_depth_scale_that_leaves_no_depth_is_refused(tmp_path):
 def test_a_loss_that_is_not_finite_names_the_file(refine, folder, monkeypatch):
     monkeypatch.setattr(SilhouetteObjective, "__call__", lambda self, points: (np.nan, points))
     run = refine("initial.ply", "mask.png", "--preset", "paper")
-    assert (run.code, run.err) == (
-        1,
-        "tso: error: initial.ply: the loss of the start is no finite number\n",
-    )
+    assert run.code == 1
+    assert run.err == "tso: error: initial.ply: the loss of the start is not a finite number\n"
 
 
 @pytest.mark.parametrize("normal", ["a b c", "0 0"])
@@ -421,7 +422,8 @@ def test_ctrl_c_while_open3d_is_imported_is_ctrl_c(tso, tmp_path, monkeypatch, f
     monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
     mesh = next((ROOT / "examples" / "meshes").rglob("*.ply"))
     run = tso("render", mesh, "-o", tmp_path / "out")
-    assert (run.code, run.err.splitlines()[-1]) == (130, "tso: error: interrupted")
+    assert run.code == 130
+    assert run.err.splitlines()[-1] == "tso: error: interrupted"
 
 
 def test_ctrl_c_while_a_compiled_loop_is_called_is_ctrl_c(refine, folder, monkeypatch):
@@ -430,13 +432,14 @@ def test_ctrl_c_while_a_compiled_loop_is_called_is_ctrl_c(refine, folder, monkey
 
     monkeypatch.setattr(SilhouetteObjective, "__call__", interrupted)
     run = refine("initial.ply", "mask.png", "--preset", "paper")
-    assert (run.code, run.err) == (130, "tso: error: interrupted\n")
+    assert run.code == 130
+    assert run.err == "tso: error: interrupted\n"
     assert written(folder) == []
 
 
 def test_what_does_not_fit_into_memory_is_refused_before_the_work(refine, folder, monkeypatch):
     monkeypatch.setattr(reading, "free_memory", lambda: 1.1e6)
-    # Of 1,024 points all of which move by themselves, and of those that may follow.
+    # Once for 1,024 points that all move by themselves, and once for points that may follow.
     refused = refine(*OUTPUTS, "--preset", "paper").refusal
     assert (
         "initial.ply: needs about 0.001 GiB of memory, expected at most the 0.001 that" in refused

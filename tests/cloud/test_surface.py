@@ -1,4 +1,4 @@
-"""Meshes: samples of the surface move, and the vertices follow."""
+"""Meshes: control points of the surface move, and the vertices follow."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,14 +11,15 @@ from trimesh.remesh import subdivide
 from tests.corruption import assert_refused
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
-from tso_cli.cloud.surface import Surface
+from tso_cli.cloud.smooth_field import CONTROL_POINTS
+from tso_cli.cloud.surface import Surface, SurfaceSamples
+from tso_cli.diagnosis.findings import Finding
+from tso_cli.evaluation.footprint import common_window, window_iou
 from tso_cli.evaluation.metrics import chamfer, nearest_squared
 from tso_cli.geometry.points import sample_surface
 from tso_cli.io.clouds import read_cloud
 from tso_cli.losses.chamfer import spacings
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.optimisation.presets import FIELD_NODES
-from tso_cli.refinement.judge import view_ious
 
 CORNERS = np.array([[x, y, z] for x in (-0.25, 0.25) for y in (-0.2, 0.2) for z in (-0.15, 0.15)])
 QUADS = np.array(
@@ -58,7 +59,7 @@ def stretched(views):
     return refine(CORNERS, views, faces=BOX)
 
 
-def test_a_box_is_stretched_toward_a_wider_mask_further_than_its_corners_alone_and_stays_a_box(
+def test_a_box_is_stretched_to_a_wider_mask_further_than_its_corners_alone_and_stays_a_box(
     stretched, views
 ):
     size = np.ptp(stretched.points, axis=0) / np.ptp(CORNERS, axis=0)
@@ -70,50 +71,65 @@ def test_a_box_is_stretched_toward_a_wider_mask_further_than_its_corners_alone_a
     )
     assert sides.std(2).max() < 0.01
     alone = refine(CORNERS, views)
-    assert alone.moving == len(alone.points)
+    assert alone.control_points == len(alone.points)
     assert np.ptp(alone.points[:, 0]) < np.ptp(stretched.points[:, 0]) - 0.02
 
 
-def test_the_measures_of_a_result_are_of_samples_of_the_moved_faces(stretched, views):
-    before, after = stretched.surface
-    np.testing.assert_array_equal(stretched.initial, CORNERS)
-    assert (stretched.points.shape, stretched.moving) == (CORNERS.shape, FIELD_NODES)
+def test_a_result_of_a_mesh_is_measured_at_many_points_of_its_faces(stretched, views):
+    before, after = stretched.measured
     surface = Surface(CORNERS, BOX)
-    np.testing.assert_allclose(after, surface.judged(stretched.points), atol=1e-12)
-    assert stretched.view_ious == view_ious(before, after, views, views)
-    assert all(new > old + 0.04 for old, new in stretched.view_ious)
-    moved = surface.at(stretched.points)
-    lengths = (
-        np.linalg.norm(moved - surface.samples, axis=1) / np.ptp(surface.samples, axis=0).max()
-    )
-    assert (stretched.moved_mean, stretched.moved_max) == pytest.approx(
-        (lengths.mean(), lengths.max())
-    )
+    np.testing.assert_array_equal(stretched.initial, CORNERS)
+    assert stretched.of_mesh
+    assert stretched.control_points == CONTROL_POINTS
+    np.testing.assert_allclose(before, surface.at(CORNERS), atol=1e-12)
+    np.testing.assert_allclose(after, surface.at(stretched.points), atol=1e-12)
+    for view, of_view in zip(views, stretched.views, strict=True):
+        box = common_window([(before, view), (after, view)])
+        assert of_view.iou_before == window_iou(before, view, box)
+        assert of_view.iou_after == window_iou(after, view, box)
+        assert of_view.iou_after > of_view.iou_before + 0.04
+
+
+def test_the_displacements_of_a_mesh_are_those_of_its_control_points(stretched):
+    samples = SurfaceSamples(Surface(CORNERS, BOX), CONTROL_POINTS)
+    moved = samples.at_control_points(stretched.points)
+    lengths = np.linalg.norm(moved - samples.control_points, axis=1)
+    lengths /= np.ptp(samples.control_points, axis=0).max()
+    assert stretched.fit.moved_mean == pytest.approx(lengths.mean())
+    assert stretched.fit.moved_max == pytest.approx(lengths.max())
     # The longest side is 0.5.
-    assert stretched.chamfer_to_initial == pytest.approx(
-        chamfer(moved, surface.samples).chamfer / 0.25, rel=0.02
+    assert stretched.fit.chamfer_to_initial == pytest.approx(
+        chamfer(moved, samples.control_points).chamfer / 0.25, rel=0.02
     )
+
+
+@pytest.mark.parametrize("times", [0, 2])
+def test_the_faces_carry_the_control_points_where_they_should_go(times):
+    """At edges and tips the mean of the nearest control points alone would lag behind."""
+    samples = SurfaceSamples(Surface(*_subdivided(CORNERS, BOX, times)), CONTROL_POINTS)
+    wanted = samples.control_points * [0.2, 0.0, 0.0]
+    carried = samples.at_control_points(samples.follow(wanted))
+    np.testing.assert_allclose(carried, wanted, atol=4e-4)
 
 
 def test_zero_steps_return_the_vertices_bit_for_bit(views):
     result = refine(CORNERS + 0.1, views, config=RefineConfig(steps=0), faces=BOX)
     np.testing.assert_array_equal(result.points, CORNERS + 0.1)
-    assert result.chamfer_to_initial == 0.0
+    assert result.fit.chamfer_to_initial == 0.0
 
 
-def test_samples_are_even_however_the_surface_is_triangulated():
+def test_control_points_are_even_however_the_surface_is_triangulated():
     means = []
     # One side has a thousand times as many faces as the others.
     fine, faces = _subdivided(CORNERS, BOX[:1], 5)
     uneven = Surface(fine, np.concatenate([faces, BOX[1:]]))
     for surface in (Surface(CORNERS, BOX), Surface(*_subdivided(CORNERS, BOX, 3)), uneven):
-        distance = spacings(surface.samples)
+        points = SurfaceSamples(surface, CONTROL_POINTS).control_points
+        distance = spacings(points)
         means.append(distance.mean())
         assert distance.min() > 0.7 * distance.mean()
-        assert (
-            nearest_squared(_dense(CORNERS, BOX), surface.samples).max()
-            < (1.5 * distance.mean()) ** 2
-        )
+        gaps = np.sqrt(nearest_squared(_dense(CORNERS, BOX), points))
+        assert gaps.max() < 1.5 * distance.mean()
     assert max(means) < 1.05 * min(means)
 
 
@@ -137,41 +153,39 @@ def test_duplicates_of_a_vertex_stay_together(stretched, views):
     np.testing.assert_array_equal(split.points, stretched.points[BOX].reshape(-1, 3))
 
 
-def test_colours_are_interpolated_linearly_at_the_samples():
+def test_colours_are_interpolated_linearly_at_the_control_points():
     colours = CORNERS + 0.5
-    cloud = Cloud(CORNERS, "points", colours, BOX)
-    np.testing.assert_allclose(cloud.colours, cloud.initial + 0.5, atol=1e-6)
-    assert len(cloud.initial) == FIELD_NODES
+    cloud = Cloud(CORNERS, "points", colours, BOX).controlled()
+    np.testing.assert_allclose(cloud.colours, cloud.control_points + 0.5, atol=1e-6)
+    assert len(cloud.control_points) == CONTROL_POINTS
 
 
 @pytest.mark.parametrize(
     ("faces", "reason"),
     [
-        (np.empty((0, 3), np.int64), "the faces have no area, the vertices are taken for a cloud"),
-        ([[0, 0, 1], [2, 2, 2]], "the faces have no area, the vertices are taken for a cloud"),
-        ([[0, 1, 2]], "the faces join 3 of 64 vertices, which are therefore taken for a cloud"),
+        (np.empty((0, 3), np.int64), "the faces join 0 of 64 vertices"),
+        (np.arange(64)[:, None].repeat(3, 1), "the faces have no area"),
+        ([[0, 1, 2]], "the faces join 3 of 64 vertices"),
     ],
 )
 def test_a_mesh_without_area_or_whose_faces_join_few_vertices_is_taken_for_a_cloud(
     faces, reason, views
 ):
-    points = _dense(CORNERS, BOX)[:64]
-    with pytest.warns(UserWarning, match=f"points: {reason}"):
-        result = refine(points, views, config=RefineConfig(steps=3), faces=faces)
-    np.testing.assert_array_equal(
-        result.points, refine(points, views, config=RefineConfig(steps=3)).points
-    )
-    assert result.surface is None
+    points, config = _dense(CORNERS, BOX)[:64], RefineConfig(steps=3)
+    result = refine(points, views, config=config, faces=faces)
+    assert Finding("not-a-mesh", values={"why": reason}) in result.findings
+    assert not result.of_mesh
+    np.testing.assert_array_equal(result.points, refine(points, views, config=config).points)
 
 
 @pytest.mark.parametrize(
     ("faces", "message"),
     [
-        ([[0, 1, 8]], "points: a face names vertex 8, outside 0 to 7"),
-        ([[0, 1, -1]], "points: a face names vertex -1, outside 0 to 7"),
+        ([[0, 1, 8]], "points: a face names vertex 8, expected 0 to 7"),
+        ([[0, 1, -1]], "points: a face names vertex -1, expected 0 to 7"),
         (QUADS, r"points: faces have shape \[6, 4\], expected triangles \[F, 3\]"),
         ([[0.0, 1.0, 2.0]], "points: the faces are float64, expected whole numbers"),
-        ([[0, 1, 2], [3]], "points: the faces are no array of whole numbers"),
+        ([[0, 1, 2], [3]], "points: the faces are not an array of whole numbers"),
     ],
 )
 def test_faces_that_are_no_triangles_are_refused(faces, message, views):
@@ -179,11 +193,11 @@ def test_faces_that_are_no_triangles_are_refused(faces, message, views):
 
 
 def test_vertices_without_faces_change_nothing_and_follow_the_surface(stretched, views):
-    strays = np.array([CORNERS[5], [9.0, 40.0, 0.0]])
-    result = refine(np.concatenate([CORNERS, strays]), views, faces=BOX)
+    loose = np.array([CORNERS[5], [9.0, 40.0, 0.0]])
+    result = refine(np.concatenate([CORNERS, loose]), views, faces=BOX)
     np.testing.assert_array_equal(result.points[:8], stretched.points)
     np.testing.assert_array_equal(result.points[8], stretched.points[5])
-    assert np.linalg.norm(result.points[9] - strays[1]) < 0.1
+    assert np.linalg.norm(result.points[9] - loose[1]) < 0.1
 
 
 def test_a_thin_sheet_keeps_its_thickness(views):
@@ -218,7 +232,9 @@ def test_the_written_file_differs_from_the_input_in_its_coordinates_alone(
     body = before.index("end_header") + 1
     for number, (old, new) in enumerate(zip(before, after, strict=True)):
         vertex = body <= number < body + 8
-        assert (old.split()[3:] == new.split()[3:] and old != new) if vertex else old == new
+        assert (old == new) != vertex
+        if vertex:
+            assert old.split()[3:] == new.split()[3:]
     start = read_cloud("box.ply")
     expected = refine(start.points, views[:1], faces=start.faces())
     np.testing.assert_allclose(read_cloud("out.ply").points, expected.points, rtol=1e-6)

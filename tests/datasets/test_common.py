@@ -1,4 +1,4 @@
-"""What holds for both layouts of SYNSET/MODEL folders: that of the CAPNet authors and that of 3D-R2N2."""
+"""What holds for both layouts of SYNSET/MODEL folders: the CAPNet authors' and 3D-R2N2's."""
 
 import pickle
 from collections.abc import Callable
@@ -104,7 +104,7 @@ BROKEN = [
 def test_what_is_missing_is_named_and_skipped_or_an_error(
     layout, tmp_path, change, picture, message
 ):
-    """Either the rows of the table change, or files are deleted; without any, the folder is missing."""
+    """The rows of the table change or files are deleted; without either, the folder is missing."""
     folder = tmp_path / layout.pictures
     if isinstance(change, list):
         (folder / layout.table).write_text("\n".join(change) + "\n")

@@ -31,7 +31,7 @@ def test_every_layout_is_recognised(tmp_path, make, inside, name):
 def test_an_unknown_layout_is_one_line_that_names_those_known(tmp_path):
     (tmp_path / "a/b").mkdir(parents=True)
     for path, message in (
-        (tmp_path, "has no layout known here"),
+        (tmp_path, "has no known layout"),
         (tmp_path / "none", "does not exist"),
     ):
         assert_refused(

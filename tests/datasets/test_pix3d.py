@@ -42,7 +42,7 @@ def test_the_target_seen_by_the_cameras_covers_the_masks(tmp_path, entries):
 
 
 def test_a_point_lands_where_the_data_sets_own_formula_puts_it(tmp_path, entries):
-    """u = w/2 - f X/Z and v = h/2 - f Y/Z from the corner of the picture, with X = rot_mat x + trans_mat."""
+    """u = w/2 - f X/Z, v = h/2 - f Y/Z from the picture's corner; X = rot_mat x + trans_mat."""
     vertices = model_vertices()
     for entry, view in zip(entries, open_pix3d(tmp_path).objects[0].views, strict=True):
         point = vertices @ np.array(entry["rot_mat"]).T + entry["trans_mat"]

@@ -5,185 +5,365 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes import example, in_photo
+from tests.scenes import about, example, in_photo
 from tso_cli import RefineConfig, View, refine, refine_batch
-from tso_cli.diagnosis import confidence as verdict
-from tso_cli.diagnosis.agreement import Agreement
-from tso_cli.diagnosis.confidence import REASONS, _model
-from tso_cli.geometry.rotations import from_vectors
+from tso_cli.diagnosis.confidence import (
+    FINDING,
+    HELD_BACK,
+    HELD_BACK_IF_OUTVOTED,
+    LEAST_CONFIDENCE,
+    MOST_CONFIDENCE_IF_UNSURE,
+    REASONS,
+    Trust,
+    _model,
+    confidence_of,
+    words_of,
+)
+from tso_cli.diagnosis.examine import Diagnosis, examine
+from tso_cli.diagnosis.findings import Finding
+from tso_cli.diagnosis.verification import verify_plane
+from tso_cli.optimisation.optimise import optimise, weigh
+from tso_cli.optimisation.problem import prepare
+from tso_cli.optimisation.settings import Settings
+from tso_cli.refinement.judge import judge
+from tso_cli.refinement.result import RefineResult
+from tso_cli.refinement.scene import as_scene
 
-EXAMPLES = "chair", "car", "airplane"
+from .common import EXAMPLES, changed, named
+
+CHAIR = example("chair")
+INVERTED = changed(CHAIR.view, "mask-inverted")
+NOTHING = Diagnosis(())
+OPENGL = Diagnosis((), of_input=(Finding("opengl", (0,)),))
+BOX = Diagnosis((), of_views=(Finding("box", (0,)),))
 
 
 def _yawed(view: View, degrees: float) -> View:
-    turn = from_vectors(np.radians(degrees) * np.array([0.0, 1.0, 0.0]))
-    return replace(view, camera=replace(view.camera, R=view.camera.R @ turn))
+    R = view.camera.R @ about("y", degrees)
+    return replace(view, camera=replace(view.camera, R=R))
+
+
+@pytest.fixture(scope="module")
+def right() -> RefineResult:
+    """The chair, refined from right input."""
+    return refine(CHAIR.points, CHAIR.view)
+
+
+@pytest.fixture(scope="module")
+def wrong() -> RefineResult:
+    """The chair, refined with a camera that is 45 degrees off."""
+    return refine(CHAIR.points, _yawed(CHAIR.view, 45.0))
+
+
+# Of features and a diagnosis
+
+
+def test_right_features_without_findings_are_an_improvement(right):
+    trust = Trust.of(right.trust.features, NOTHING)
+    assert trust == right.trust
+    assert trust.verdict == "improved"
+    assert trust.confidence > 0.9
+    assert trust.displacement_taken == 1.0
+    assert trust.reason == ""
+    assert trust.says == ""
+
+
+def test_without_findings_a_doubtful_displacement_is_taken_as_a_whole(wrong):
+    trust = Trust.of(wrong.trust.features, NOTHING)
+    assert trust.confidence < LEAST_CONFIDENCE
+    assert trust.verdict == "doubtful"
+    assert trust.displacement_taken == 1.0
+    assert trust.reason in REASONS
+    assert trust.says == REASONS[trust.reason]
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "confidence", "share"),
+    [
+        (OPENGL, 1.0, 1.0),
+        (OPENGL, HELD_BACK[1], 1.0),
+        (OPENGL, 0.75, 0.5),
+        (OPENGL, 0.72, 0.2),
+        (OPENGL, HELD_BACK[0], 0.0),
+        (OPENGL, 0.1, 0.0),
+        (BOX, 0.75, 0.5),
+        (replace(BOX, outvoted=True), HELD_BACK_IF_OUTVOTED[1], 1.0),
+        (replace(BOX, outvoted=True), 0.2, 0.5),
+        (replace(BOX, outvoted=True), HELD_BACK_IF_OUTVOTED[0], 0.0),
+        # What short optimisations alone show may be another shape.
+        (Diagnosis((), weak=Finding("mask-flipped", (0,)), confirmed=True), 0.2, 1.0),
+    ],
+)
+def test_the_share_of_the_displacement_that_is_taken_of_suspicious_input(
+    diagnosis, confidence, share, right
+):
+    assert right.trust.confidence > 0.9
+    trust = Trust.of(right.trust.features, replace(diagnosis, most_confidence=confidence))
+    assert trust.displacement_taken == pytest.approx(share)
+    assert trust.confidence == min(confidence, right.trust.confidence)
+    assert trust.verdict == "doubtful"
+    assert trust.reason == FINDING
+    assert trust.says == words_of(diagnosis)
+
+
+def test_a_weak_hypothesis_that_is_not_confirmed_changes_nothing(right):
+    weak = Diagnosis((), weak=Finding("mask-flipped", (0,)))
+    assert Trust.of(right.trust.features, weak) == right.trust
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "verdict", "reason"),
+    [(NOTHING, "unchanged", ""), (OPENGL, "doubtful", FINDING), (BOX, "doubtful", FINDING)],
+)
+def test_a_start_that_is_kept_is_sure_and_doubtful_only_with_a_finding(diagnosis, verdict, reason):
+    trust = Trust.unchanged(diagnosis)
+    assert trust.verdict == verdict
+    assert trust.reason == reason
+    assert trust.confidence == 1.0
+    assert trust.displacement_taken == 0.0
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "expected"),
+    [
+        (NOTHING, Trust(None, None, "steps", "11 steps are too few")),
+        (OPENGL, Trust("doubtful", None, FINDING, words_of(OPENGL))),
+    ],
+)
+def test_without_a_confidence_there_is_no_verdict_except_with_a_finding(diagnosis, expected):
+    assert Trust.unknown("steps", "11 steps are too few", diagnosis) == expected
+
+
+@pytest.mark.parametrize("confidence", [0.97, 0.3, None])
+def test_an_unsure_camera_makes_any_result_doubtful(confidence):
+    trust = Trust("improved", confidence).with_unsure_camera("two cameras fit")
+    assert trust.verdict == "doubtful"
+    assert trust.reason == "unsure-camera"
+    assert trust.says == "two cameras fit"
+    expected = None if confidence is None else min(confidence, MOST_CONFIDENCE_IF_UNSURE)
+    assert trust.confidence == expected
+
+
+def test_a_finding_is_the_reason_also_with_an_unsure_camera():
+    trust = Trust.unchanged(OPENGL).with_unsure_camera("two cameras fit")
+    assert trust.reason == FINDING
+    assert trust.says == words_of(OPENGL)
+    assert trust.confidence == MOST_CONFIDENCE_IF_UNSURE
+
+
+@pytest.mark.parametrize(
+    ("findings", "joined"),
+    [
+        ([Finding("opengl", (0,))], "{0}"),
+        ([Finding("box", (0,)), Finding("occluder", (1,))], "{0}; {1}"),
+        ([Finding("opengl", (0, 1)), Finding("pytorch3d", (0, 1))], "{0} or {1}"),
+    ],
+)
+def test_alternatives_are_joined_by_or_and_findings_of_views_are_listed(findings, joined):
+    diagnosis = Diagnosis((), of_input=tuple(findings))
+    says = joined.format(*(finding.says for finding in findings))
+    assert words_of(diagnosis) == f"it looks as if {says}"
+
+
+def test_the_model_knows_every_feature(right):
+    names, (mean, deviation, hidden, offset, output) = _model()
+    assert names == list(right.trust.features)
+    assert {name.split(":")[0] for name in names} == set(REASONS)
+    assert hidden.shape == (len(names), len(offset))
+    assert len(output) == len(offset) + 1
+    assert (deviation > 0.0).all()
+    assert len(mean) == len(names)
+
+
+def test_the_reason_is_the_group_without_which_the_confidence_would_be_highest(wrong):
+    names, (mean, *_) = _model()
+    features = wrong.trust.features
+    _, group = confidence_of(features)
+    without = {
+        one: confidence_of(
+            {
+                name: average if name.startswith(f"{one}:") else features[name]
+                for name, average in zip(names, mean, strict=True)
+            }
+        )[0]
+        for one in REASONS
+    }
+    assert without[group] == max(without.values())
+
+
+# Of refinements
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_right_input_is_trusted(name):
+def test_a_result_of_right_input_is_trusted(name):
     scene = example(name)
     result = refine(scene.points, scene.view)
-    assert (result.verdict, result.reason, result.suspects) == ("improved", "", ())
-    assert result.confidence > 0.6
-    assert not result.warnings
+    assert result.trust.verdict == "improved"
+    assert result.trust.reason == ""
+    assert result.trust.confidence > 0.6
+    assert result.findings == ()
 
 
 @pytest.mark.parametrize("name", ["chair", "airplane"])
 def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name):
     scene = example(name)
     right, wrong = (refine(scene.points, view) for view in (scene.view, _yawed(scene.view, 45.0)))
-    assert wrong.iou_after > wrong.iou_before
+    assert wrong.fit.iou_after > wrong.fit.iou_before
     assert scene.error(wrong.points) > scene.error(scene.points)
-    assert wrong.confidence < right.confidence - 0.3
-    assert wrong.verdict == "doubtful"
-    assert wrong.step_taken == 1.0
-    assert wrong.reason in REASONS.values() or "--assume" in wrong.reason
-    assert any(wrong.reason in warning for warning in wrong.warnings)
+    assert wrong.trust.confidence < right.trust.confidence - 0.3
+    assert wrong.trust.verdict == "doubtful"
+    assert wrong.trust.displacement_taken == 1.0
+    assert wrong.trust.reason in {*REASONS, FINDING}
+    assert (wrong.trust.reason == FINDING) == bool(wrong.findings)
 
 
-def test_a_step_of_no_confidence_is_not_taken_unless_accepted():
-    scene = example("chair")
-    view = replace(scene.view, mask=1.0 - scene.mask)
+def test_a_displacement_of_no_confidence_is_not_taken_unless_accepted():
     careful, accepted = (
-        refine(scene.points, view),
-        refine(scene.points, view, config=RefineConfig(accept_doubtful=True)),
+        refine(CHAIR.points, INVERTED, config=RefineConfig(accept_doubtful=accept))
+        for accept in (False, True)
     )
     assert (careful.points == careful.initial).all()
-    assert careful.iou_after == careful.iou_before
-    assert (careful.stop_reason, careful.best_step, careful.step_taken, careful.moved_max) == (
-        "doubtful",
-        0,
-        0.0,
-        0.0,
-    )
-    assert "so the cloud is left as it was" in careful.warnings[0]
-    assert careful.loss_after == careful.loss_before
-    assert (accepted.verdict, accepted.confidence) == (careful.verdict, careful.confidence)
-    assert accepted.step_taken == 1.0
-    assert accepted.moved_mean > 0.01
+    assert careful.fit.outcome == "refused"
+    assert careful.fit.stop_reason == "doubtful"
+    assert careful.fit.best_step == 0
+    assert careful.fit.moved_max == 0.0
+    assert careful.fit.iou_after == careful.fit.iou_before
+    assert careful.fit.loss_after == careful.fit.loss_before
+    assert careful.trust.displacement_taken == 0.0
+    assert accepted.trust == replace(careful.trust, displacement_taken=1.0)
+    assert accepted.fit.outcome == "moved"
+    assert accepted.fit.moved_mean > 0.01
 
 
-def test_a_step_of_little_confidence_is_taken_in_part_where_a_mistake_is_suspected(monkeypatch):
-    scene = example("chair")
-    whole = refine(scene.points, scene.view)
-    monkeypatch.setattr(verdict, "_judged", lambda signs: (0.75, "camera"))
-    assert refine(scene.points, scene.view).step_taken == 1.0
-    monkeypatch.setattr(Agreement, "suspicion", "it looks as if the camera is another")
-    part = refine(scene.points, scene.view)
-    np.testing.assert_allclose(part.points, 0.5 * (whole.initial + whole.points), atol=1e-12)
-    assert part.step_taken == pytest.approx(0.5)
-    assert part.verdict == "doubtful"
-    assert "only 50 % of the step" in part.warnings[0]
-    assert whole.loss_after < part.loss_after < part.loss_before
-    assert part.iou_before < part.iou_after < whole.iou_after
-    assert part.moved_mean == pytest.approx(0.5 * whole.moved_mean)
-    monkeypatch.setattr(verdict, "_judged", lambda signs: (0.6, "camera"))
-    assert "so the cloud is left as it was" in refine(scene.points, scene.view).warnings[0]
+def _judged(diagnosis: Diagnosis, settings: Settings) -> RefineResult:
+    """The chair's result from right input, if its input had this ``diagnosis``."""
+    scene = as_scene(CHAIR.points, CHAIR.view)
+    cloud = scene.cloud.controlled(settings.points, scene.views)
+    found = examine(cloud, scene.read, scene.views)
+    diagnosis = replace(diagnosis, explanation=found.explanation)
+    weighed = weigh(prepare(cloud, scene.views, settings), settings)
+    verified = verify_plane(weighed.problem, weighed.weights.loss, weighed.field)
+    weighed = replace(weighed, problem=verified)
+    optimised, problem = optimise(weighed, settings, settings.steps)
+    return judge(weighed, problem, optimised, scene.views, diagnosis, settings, seconds={})
 
 
-def test_a_suspected_mistake_is_never_called_an_improvement(monkeypatch):
-    scene = example("chair")
-    monkeypatch.setattr(Agreement, "suspicion", "it looks as if the camera is another")
-    result = refine(scene.points, scene.view)
-    assert result.confidence > 0.9
-    assert (result.verdict, result.step_taken) == ("doubtful", 1.0)
-    assert result.reason == "it looks as if the camera is another"
+def test_a_displacement_of_little_confidence_is_taken_in_part():
+    settings = RefineConfig().settings(1)
+    diagnosis = replace(BOX, outvoted=True, most_confidence=0.2)
+    whole, part = _judged(NOTHING, settings), _judged(diagnosis, settings)
+    assert whole.trust.displacement_taken == 1.0
+    assert part.trust.displacement_taken == pytest.approx(0.5)
+    middle = 0.5 * (whole.initial + whole.points)
+    np.testing.assert_allclose(part.points, middle, atol=1e-12)
+    assert part.trust.verdict == "doubtful"
+    assert part.findings == BOX.findings
+    assert part.fit.outcome == "moved"
+    assert whole.fit.loss_after < part.fit.loss_after < part.fit.loss_before
+    assert part.fit.iou_before < part.fit.iou_after < whole.fit.iou_after
+    assert part.fit.moved_mean == pytest.approx(0.5 * whole.fit.moved_mean)
 
 
-def test_what_is_shown_as_a_half_is_not_doubtful():
-    assert (verdict.shown(0.4999), verdict.shown(0.5), verdict.shown(1.0)) == (
-        "0.49",
-        "0.50",
-        "1.00",
-    )
+def test_a_result_of_suspicious_input_is_never_called_an_improvement():
+    result = _judged(replace(BOX, outvoted=True), RefineConfig().settings(1))
+    assert result.trust.confidence > LEAST_CONFIDENCE
+    assert result.trust.verdict == "doubtful"
+    assert result.trust.displacement_taken == 1.0
+    assert result.trust.reason == FINDING
 
 
-def test_a_result_of_a_depth_map_is_not_judged():
-    scene = example("chair")
-    depth = np.where(scene.mask > 0.5, np.median(scene.camera.project(scene.target)[1]), np.nan)
-    result = refine(scene.points, replace(scene.view, depth=depth))
-    assert (result.verdict, result.confidence, result.signs) == (None, None, {})
+def test_a_finding_costs_confidence_by_itself():
+    settings = RefineConfig().settings(1)
+    with_finding, without = (_judged(diagnosis, settings).trust for diagnosis in (BOX, NOTHING))
+    assert without.confidence > 0.9
+    assert with_finding.confidence < without.confidence - 0.2
 
 
-def test_what_did_not_move_is_unchanged_and_sure():
-    scene = example("chair")
-    result = refine(scene.points, scene.view, config=RefineConfig(steps=0))
-    assert (result.verdict, result.confidence) == ("unchanged", 1.0)
+def test_a_confirmed_weak_hypothesis_keeps_no_point_where_it_is():
+    """The start may be a shape that looks like its mirror image from this side."""
+    result = refine(CHAIR.points, changed(CHAIR.view, "mask-flipped"))
+    assert named(result.findings) == [("mask-flipped", (0,))]
+    assert result.trust.verdict == "doubtful"
+    assert result.trust.displacement_taken == 1.0
+
+
+def test_a_result_of_a_depth_map_has_no_confidence():
+    depth = np.where(CHAIR.mask > 0.5, np.median(CHAIR.camera.project(CHAIR.target)[1]), np.nan)
+    trust = refine(CHAIR.points, replace(CHAIR.view, depth=depth)).trust
+    assert trust.verdict is None
+    assert trust.confidence is None
+    assert trust.reason == "evidence"
+    assert trust.features == {}
 
 
 @pytest.mark.parametrize(
-    ("config", "why"),
+    ("config", "reason", "says"),
     [
-        (RefineConfig(preset="paper", steps=3), "only mode points with preset best is"),
-        (RefineConfig(steps=11), "11 steps are too few"),
+        (
+            {"preset": "paper", "steps": 3},
+            "mode",
+            "only mode points with preset best has a confidence",
+        ),
+        ({"steps": 11}, "steps", "11 steps are too few"),
+        ({"budget": 1e-2}, "time", "0.01 s were too few"),
     ],
+    ids=str,
 )
-def test_without_a_confidence_wrong_input_is_doubtful_and_right_input_is_not_judged(config, why):
-    scene = example("chair")
-    wrong = refine(scene.points, replace(scene.view, mask=1.0 - scene.mask), config=config)
-    assert (wrong.verdict, wrong.confidence) == ("doubtful", None)
-    assert "mask is inverted" in wrong.reason
-    right = refine(scene.points, scene.view, config=config)
-    assert (right.verdict, right.confidence, right.reason) == (None, None, why)
+def test_without_a_confidence_wrong_input_is_doubtful_and_right_input_has_a_reason(
+    config, reason, says
+):
+    config = RefineConfig(**config)
+    wrong = refine(CHAIR.points, INVERTED, config=config).trust
+    assert wrong.verdict == "doubtful"
+    assert "the mask is inverted" in wrong.says
+    assert refine(CHAIR.points, CHAIR.view, config=config).trust == Trust(None, None, reason, says)
 
 
-def test_suspect_input_is_told_also_where_nothing_moves():
-    scene = example("chair")
-    result = refine(
-        scene.points, replace(scene.view, mask=1.0 - scene.mask), config=RefineConfig(steps=0)
-    )
-    assert (result.verdict, result.step_taken) == ("doubtful", 0.0)
-    assert "mask is inverted" in result.reason
-    assert any("--assume mask-inverted" in text for text in result.warnings)
+def test_a_result_of_few_points_has_no_confidence():
+    trust = refine(CHAIR.target[::103], CHAIR.view, config=RefineConfig(symmetry="none")).trust
+    assert trust == Trust(None, None, "points", "10 points are too few")
 
 
-def test_a_batch_judges_as_a_single_cloud_is_judged():
-    scene = example("chair")
-    (batched,) = refine_batch([(scene.points, scene.view)])
-    alone = refine(scene.points, scene.view)
-    assert (batched.verdict, batched.confidence) == (
-        alone.verdict,
-        pytest.approx(alone.confidence, abs=0.02),
-    )
+def test_what_did_not_move_is_unchanged_and_sure():
+    trust = refine(CHAIR.points, CHAIR.view, config=RefineConfig(steps=0)).trust
+    assert trust == Trust("unchanged", 1.0, displacement_taken=0.0)
 
 
-def test_an_object_in_a_large_picture_is_judged_as_in_a_small_one():
+def test_suspicious_input_is_found_also_where_nothing_moves():
+    result = refine(CHAIR.points, INVERTED, config=RefineConfig(steps=0))
+    assert result.trust.verdict == "doubtful"
+    assert result.trust.displacement_taken == 0.0
+    assert ("mask-inverted", (0,)) in named(result.findings)
+
+
+def test_a_batch_has_the_confidence_of_a_single_cloud(right):
+    (batched,) = refine_batch([(CHAIR.points, CHAIR.view)])
+    assert batched.trust.verdict == right.trust.verdict
+    assert batched.trust.confidence == pytest.approx(right.trust.confidence, abs=0.02)
+
+
+def test_an_object_in_a_large_picture_has_the_confidence_of_one_in_a_small_picture():
     scene = example("airplane")
     view = _yawed(scene.view, 20.0)
     K = np.diag([4.0, 4.0, 1.0]) @ view.camera.K + 1.5 * np.outer([1.0, 1.0, 0.0], [0.0, 0.0, 1.0])
-    large = View(
-        np.kron(view.mask, np.ones((4, 4), np.float32)),
-        replace(view.camera, K=K, width=1024, height=1024),
+    mask = np.kron(view.mask, np.ones((4, 4), np.float32))
+    large = View(mask, replace(view.camera, K=K, width=1024, height=1024))
+    small, large = (
+        refine(scene.points, each).trust for each in (view, in_photo(large, 2, 300, 500))
     )
-    small, large = (refine(scene.points, each) for each in (view, in_photo(large, 2, 300, 500)))
     assert abs(large.confidence - small.confidence) < 0.05
-    assert abs(large.signs["input: pixels"] - small.signs["input: pixels"]) < 0.1
+    assert abs(large.features["input: pixels"] - small.features["input: pixels"]) < 0.1
 
 
-def test_points_of_a_floor_fall_beside_the_mask_and_cost_confidence():
-    scene = example("chair")
-    low, high = scene.target.min(0), scene.target.max(0)
-    floor = np.random.default_rng(0).uniform(low - 0.5, high + 0.5, (1024, 3)) * [1.0, 0.0, 1.0] + [
-        0.0,
-        low[1],
-        0.0,
-    ]
+def test_points_of_a_floor_fall_outside_the_mask_and_cost_confidence():
+    low, high = CHAIR.target.min(0), CHAIR.target.max(0)
+    floor = np.random.default_rng(0).uniform(low - 0.5, high + 0.5, (1024, 3))
+    floor[:, 1] = low[1]
     alone, with_floor = (
-        refine(points, scene.view)
-        for points in (scene.target, np.concatenate([scene.target, floor]))
+        refine(points, CHAIR.view).trust
+        for points in (CHAIR.target, np.concatenate([CHAIR.target, floor]))
     )
-    assert with_floor.signs["misfit: beside after"] > alone.signs["misfit: beside after"] + 0.1
+    name = "misfit: outside after"
+    assert with_floor.features[name] > alone.features[name] + 0.1
     assert with_floor.verdict == "doubtful"
     assert with_floor.confidence < alone.confidence - 0.3
-
-
-def test_the_model_knows_every_sign():
-    scene = example("chair")
-    names, (mean, deviation, hidden, offset, output) = _model()
-    assert names == list(refine(scene.points, scene.view).signs)
-    assert {name.split(":")[0] for name in names} == set(REASONS)
-    assert hidden.shape == (len(names), len(offset))
-    assert len(output) == len(offset) + 1
-    assert (deviation > 0.0).all()
-    assert len(mean) == len(names)

@@ -1,4 +1,4 @@
-"""The example with photos, on pictures made here: the photos that its page shows are not in the repository."""
+"""The example with photos, on pictures made here: the photos are not in the repository."""
 
 import importlib.util
 from pathlib import Path

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from tests.scenes import EXAMPLES, block, example, in_photo
-from tso_cli import Camera, View
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.footprint import (
     RIM,
     common_window,
@@ -21,7 +21,6 @@ from tso_cli.evaluation.footprint import (
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.window import window_of
 from tso_cli.io.meshes import read_mesh
-from tso_cli.refinement.judge import view_ious
 from tso_cli.render import (
     RayScene,
     RenderSettings,
@@ -91,7 +90,8 @@ def test_more_points_bring_the_truth_nearer_to_1(mesh):
     )
     view = View(np.float32(render_view(RayScene(shape), camera).mask > 0), camera)
     samples, target = ground_truth(shape, RenderSettings(), np.random.default_rng(0))
-    assert (len(target), len(samples)) == (1024, 16384)
+    assert len(target) == 1024
+    assert len(samples) == 16384
     assert window_iou(target, view) > 0.92
     assert window_iou(samples, view) > 0.96
 
@@ -147,7 +147,8 @@ def test_pixels_compared_do_not_grow_with_the_photo(size):
 
 def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_are_closed():
     points = _plate()
-    # Two by two points less: from point to point three spacings, of which the outline takes a little.
+    # Without two by two points there are three spacings from point to point; the outline takes a
+    # little of them.
     hole = (np.abs(points[:, :2] - 0.49) < 0.02).all(1)
     assert hole.sum() == 4
     seen = in_window(points[~hole], View(SQUARE, FLAT), (-0.5, -0.5, 99.5, 99.5))
@@ -156,7 +157,7 @@ def test_a_hole_wider_than_two_spacings_stays_open_and_the_gaps_between_points_a
     assert seen.silhouette[around > 0.0].all()
 
 
-def test_strays_lower_the_score_and_fill_nothing():
+def test_outliers_lower_the_score_and_fill_nothing():
     rng = np.random.default_rng(0)
     points, view = _example("chair")
     strays = rng.uniform(points.min(0), points.max(0), (50, 3))
@@ -193,17 +194,25 @@ def test_points_at_the_camera_take_no_part():
     )
 
 
-def test_before_and_after_are_judged_in_one_window_that_holds_both_clouds():
+def test_the_common_window_holds_both_clouds():
     points, view = _example("chair")
     moved = points + 0.3 * view.camera.R[0]
     box = common_window([(points, view), (moved, view)])
     assert box == common_window([(moved, view), (points, view)])
     alone = np.array([window_of(view, cloud) for cloud in (points, moved)])
     assert box == (*alone.min(0)[:2], *alone.max(0)[2:])
-    assert view_ious(points, moved, [view], [view]) == [
-        (window_iou(points, view, box), window_iou(moved, view, box))
-    ]
     assert window_iou(moved, view, box) != window_iou(moved, view, window_of(view, points))
+
+
+def test_before_and_after_are_compared_in_one_window():
+    scene = example("chair")
+    result = refine(scene.points, scene.view, config=RefineConfig(steps=6))
+    stages = [(points, scene.view) for points in result.measured]
+    box = common_window(stages)
+    before, after = (window_iou(*stage, box) for stage in stages)
+    assert result.fit.iou_before == before
+    assert result.fit.iou_after == after
+    assert before < after
 
 
 def test_the_silhouette_is_the_cloud_dilated_by_a_disc_and_eroded_by_a_little_less():
@@ -225,7 +234,7 @@ def test_the_silhouette_is_the_cloud_dilated_by_a_disc_and_eroded_by_a_little_le
 
 
 def test_the_disc_is_as_wide_as_the_spacing_is_seen_at_its_depth():
-    # Beside each other a plate and another three times as far, of one spacing: it is seen as 6 px and as 2 px.
+    # Two plates of one spacing, the second three times as far: the spacing is 6 px and 2 px.
     near, far = _plate() - [0.78, 0.49, -1.0], _plate(last=1.3) + [0.4, -0.7, 3.0]
     middle = np.array([1.1, 0.0, 3.0])
     far = far[(np.abs(far - middle) > 0.05).any(1)]

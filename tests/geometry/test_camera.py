@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.corruption import assert_refused
-from tso_cli.geometry.camera import Camera
+from tso_cli.geometry.camera import NEAR, Camera
 
 CANONICAL = Camera.canonical(64, 48)
 
@@ -56,6 +56,23 @@ def test_a_normalised_cloud_is_seen_where_the_cloud_is(model, scale, centre):
     seen, _ = camera.project(cloud)
     normalised, _ = camera.for_normalised(shift, scale).project((cloud - shift) / scale)
     np.testing.assert_allclose(normalised, seen, rtol=1e-6, atol=1e-3)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1000.0])
+def test_a_perspective_camera_sees_what_is_far_enough_in_front_of_it(scale):
+    camera = Camera(CANONICAL.K, np.eye(3), np.zeros(3), 64, 48)
+    # The longest side of this cloud is twice its scale. The last point is far outside the image.
+    depths = np.array([-1.0, 0.0, 0.9 * 2.0 * NEAR, 1.1 * 2.0 * NEAR, 1.0, 1.0])
+    points = scale * np.stack([[0.0] * 5 + [1.9], np.zeros(6), depths], axis=1)
+    pixels, depth, visible = camera.project_visible(points)
+    assert visible.tolist() == [False, False, False, True, True, True]
+    assert np.array_equal(pixels, camera.project(points)[0], equal_nan=True)
+    assert np.array_equal(depth, camera.project(points)[1])
+
+
+def test_an_orthographic_camera_sees_every_point():
+    camera = Camera(CANONICAL.K, np.eye(3), np.zeros(3), 64, 48, "orthographic")
+    assert camera.project_visible(_points())[2].all()
 
 
 @pytest.mark.parametrize(

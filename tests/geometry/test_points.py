@@ -152,7 +152,7 @@ def test_the_last_face_is_not_drawn_from_if_it_has_no_area():
         ),
         (
             lambda: sample_surface(TWO_SQUARES, [[0, 1, 8]], 5, np.random.default_rng(0)),
-            "outside 0 to 7",
+            "expected 0 to 7",
         ),
         (lambda: sample_surface(TWO_SQUARES, [[0, 0, 1]], 5, np.random.default_rng(0)), "no area"),
     ],

@@ -42,14 +42,17 @@ def save_camera(save):
 
 def assert_same(a, b):
     assert all(np.array_equal(getattr(a, name), getattr(b, name)) for name in "KRt")
-    assert (a.width, a.height, a.model) == (b.width, b.height, b.model)
+    assert a.width == b.width
+    assert a.height == b.height
+    assert a.model == b.model
 
 
 def test_a_single_camera_is_read_as_it_stands(save):
     (record,) = read_cameras(
         save(b"\xef\xbb\xbf" + json.dumps(GOOD).encode())
     )  # a byte order mark is no obstacle
-    assert (record.mask, record.image) == (None, None)
+    assert record.mask is None
+    assert record.image is None
     assert_same(record.camera, Camera(GOOD["K"], GOOD["R"], GOOD["t"], 64, 48))
     assert_same(read_camera(save(GOOD), 64, 48), record.camera)
 
@@ -60,7 +63,8 @@ def test_views_name_their_files_relative_to_the_camera_file(save, tmp_path):
         changed(mask="/b.png", width=32.0),
     ]
     first, second = read_cameras(save({"views": views}))
-    assert (first.mask, first.image) == (tmp_path / "a.png", tmp_path / "photos" / "a.jpg")
+    assert first.mask == tmp_path / "a.png"
+    assert first.image == tmp_path / "photos" / "a.jpg"
     assert first.camera.model == "orthographic"
     assert str(second.mask) == "/b.png"
     assert second.camera.width == 32
@@ -134,29 +138,46 @@ BAD = {
     "width and a half": (changed(width=64.5), "width is 64.5, expected a whole number"),
     "height zero": (changed(height=0), "height is 0, expected a whole number of pixels, 1 or more"),
     "width huge": (changed(width=10**30), "width is 1000000.*expected at most"),
-    "too many pixels": (changed(width=10**6, height=10**6), "1000000x1000000, expected at most 100,000,000 pixels"),
+    "too many pixels": (
+        changed(width=10**6, height=10**6), "1000000x1000000, expected at most 100,000,000 pixels",
+    ),
     "K flat": (changed(K=[1, 0, 0, 0, 1, 0, 0, 0, 1]), "K is list of 9, expected 3x3"),
     "K ragged": (changed(K=[[1, 0, 0], [0, 1], [0, 0, 1]]), r"K\[1\] is list of 2, expected \[3\]"),
-    "K of text": (changed(K=[["1", 0, 0], [0, 1, 0], [0, 0, 1]]), r"K\[0\]\[0\] is '1', expected a number"),
-    "K NaN": (changed(K=[[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]]), r"K\[0\]\[0\] is nan, expected a finite number"),
+    "K of text": (
+        changed(K=[["1", 0, 0], [0, 1, 0], [0, 0, 1]]), r"K\[0\]\[0\] is '1', expected a number",
+    ),
+    "K NaN": (
+        changed(K=[[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        r"K\[0\]\[0\] is nan, expected a finite number",
+    ),
     "K singular": (changed(K=[[0, 0, 0], [0, 1, 0], [0, 0, 1]]), "K is singular.* fx = 0"),
     "R not a rotation": (changed(R=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "R is not a rotation"),
-    "R too large to multiply": (changed(R=[[1e300, 1e300, 0], [-1e300, 1e300, 0], [0, 0, 1]]), r"R\[0\]\[0\] is 1e\+300"),
+    "R too large to multiply": (
+        changed(R=[[1e300, 1e300, 0], [-1e300, 1e300, 0], [0, 0, 1]]), r"R\[0\]\[0\] is 1e\+300",
+    ),
     "R of angles": (changed(R=[0.1, 0.2, 0.3]), r"R\[0\] is 0.1, expected \[3\] numbers"),
     "t a matrix": (changed(t=[[0, 0, 2]]), r"t is list of 1, expected \[3\]"),
-    "t infinite": (json.dumps(GOOD).replace("2.0]", "1e999]"), r"t\[2\] is inf, expected a finite number"),
-    "other model": (changed(model="fisheye"), "model is 'fisheye', expected one of perspective, orthographic"),
+    "t infinite": (
+        json.dumps(GOOD).replace("2.0]", "1e999]"), r"t\[2\] is inf, expected a finite number",
+    ),
+    "other model": (
+        changed(model="fisheye"), "model is 'fisheye', expected one of perspective, orthographic",
+    ),
     "mask empty": (changed(mask=""), "mask is '', expected the path"),
     "mask with a NUL": (changed(mask="a\0b"), "expected the path"),
     "small k": ({**without("K"), "k": GOOD["K"]}, "key 'k' is not one of camera files, expected K"),
     "Views": ({"Views": [GOOD]}, "key 'Views' is not one of camera files, expected views"),
     "views and K": ({"views": [GOOD], "K": GOOD["K"]}, "the key K is out of place"),
-    "views in a view": ({"views": [{"views": [GOOD]}]}, r"the key views\[0\]\.views is out of place"),
+    "views in a view": (
+        {"views": [{"views": [GOOD]}]}, r"the key views\[0\]\.views is out of place",
+    ),
     "no views": ({"views": []}, "views is list of 0, expected a list of at least one"),
     "views of text": ({"views": "ab"}, "views is 'ab', expected a list"),
     "a view of text": ({"views": [GOOD, "ab"]}, r"views\[1\] is 'ab', expected an object"),
     "a bad view": ({"views": [GOOD, without("t")]}, r"views\[1\]\.t is missing"),
-    "a bad rotation in a view": ({"views": [changed(R=[[0] * 3] * 3)]}, r"views\[0\]\.R is not a rotation"),
+    "a bad rotation in a view": (
+        {"views": [changed(R=[[0] * 3] * 3)]}, r"views\[0\]\.R is not a rotation",
+    ),
 }  # fmt: skip
 
 
@@ -213,7 +234,7 @@ def test_any_damage_is_read_or_refused_in_one_line(save, form):
 
 @pytest.fixture
 def save_views(tmp_path):
-    """Write a camera file whose view number i has width 10 + i and names the i-th of the masks (None: no mask)."""
+    """Write a camera file: view i has width 10 + i and names the i-th of the masks (None: none)."""
 
     def write(*masks):
         records = [

@@ -100,7 +100,7 @@ def test_a_pickle_is_refused_without_being_run(tmp_path, kind, monkeypatch):
     )
     assert not (tmp_path / "was_run").exists()
     path.write_text("ply\nformat ascii 1.0\n")
-    assert "no safetensors file" in refusal(path)
+    assert "not a safetensors file" in refusal(path)
 
 
 def test_a_header_whose_length_begins_like_a_pickle_is_still_safetensors(checkpoint):
@@ -133,7 +133,9 @@ def test_a_configuration_of_another_or_a_huge_network_is_refused_and_takes_no_me
 def test_missing_and_unknown_tensors_are_refused(checkpoint):
     tensors, name = load_file(checkpoint), "encoder.latent.weight"
     more = {**tensors, "encoder.attention": torch.zeros(2)}
-    assert "unknown tensor 'encoder.attention' of shape [2]" in refusal(rewrite(checkpoint, more))
+    assert "has the unknown tensor 'encoder.attention' of shape [2]" in refusal(
+        rewrite(checkpoint, more)
+    )
     del tensors[name]
     assert f"tensor {name} is missing, expected shape [4, 32]" in refusal(
         rewrite(checkpoint, tensors)
@@ -156,8 +158,10 @@ def test_weights_that_do_not_fit_are_refused(checkpoint, values, message):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("points", 0), ("points", "many"), ("points", True), ("image_size", 128), ("frame", ["view"]), ("sigma_sq", 0.0),
-        ("sigma_sq", float("nan")), ("crop_share", 1.5), ("seed", 0.5), ("training_set", 3), ("settings", []),
+        ("points", 0), ("points", "many"), ("points", True),
+        ("image_size", 128), ("frame", ["view"]), ("seed", 0.5),
+        ("sigma_sq", 0.0), ("sigma_sq", float("nan")), ("crop_share", 1.5),
+        ("training_set", 3), ("settings", []),
     ],
 )  # fmt: skip
 def test_impossible_configuration_values_are_refused(checkpoint, name, value):

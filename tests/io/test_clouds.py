@@ -27,7 +27,7 @@ CODES = {
 
 
 def a_ply(form, kind="float", eol="\n", faces=FACES, extra_first=False, lists=None, points=POINTS):
-    """A PLY file with comments, colours, an attribute between the coordinates and, if asked for, rows before them."""
+    """A PLY file with comments, colours, an attribute between coordinates, perhaps other rows."""
     order = ORDERS[form]
     lines = ["ply", f"format {form} 1.0", "comment element vertex 99", "obj_info by hand"]
     body = []
@@ -121,7 +121,7 @@ def test_a_face_of_a_point_that_is_not_there_is_refused(save, form, wrong):
 @pytest.mark.parametrize("kind", ["float", "double", "int"])
 @every_shape
 def test_moved_points_change_their_coordinates_and_nothing_else(save, tmp_path, form, kind, shape):
-    """The file expected is the one built from scratch with the moved points; integers become double."""
+    """The expected file is a new file with the moved points; integers become double."""
     cloud = read_cloud(save("a.ply", a_ply(form, kind, **shape)))
     moved = (POINTS * 1.5 + 0.1).astype(np.float32).astype(np.float64)
     write_cloud(tmp_path / "b.ply", moved, like=cloud)
@@ -155,7 +155,8 @@ def test_moving_one_point_rewrites_that_point_alone(save, tmp_path, form, shape)
 
 def test_coordinates_may_stand_in_any_order(save, tmp_path):
     """x, y, z are known by name: here z comes first and y last."""
-    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty {0} z\nproperty {0} x\nproperty {0} y\nend_header\n"
+    axes = "".join(f"property {{0}} {axis}\n" for axis in "zxy")
+    head = f"ply\nformat ascii 1.0\nelement vertex 2\n{axes}end_header\n"
     cloud = read_cloud(save("a.ply", head.format("int") + "1 2 3\n4 5 6\n"))
     assert cloud.points.tolist() == [[2, 3, 1], [5, 6, 4]]
     write_cloud(tmp_path / "b.ply", cloud.points + [0.5, 0.25, 0.0], like=cloud)
@@ -163,7 +164,7 @@ def test_coordinates_may_stand_in_any_order(save, tmp_path):
 
 
 def test_a_body_may_begin_with_the_byte_of_a_line_break(save):
-    """After a header whose lines end in a bare carriage return, a line feed belongs to the first number."""
+    """If header lines end in a bare carriage return, a line feed after it is part of a number."""
     head = HEAD.format(2).replace("ascii", "binary_little_endian").replace("\n", "\r").encode()
     body = b"\n\0\x80\x3f" + np.array([1, 2, 3, 4, 5], dtype="<f4").tobytes()
     points = read_cloud(save("a.ply", head + body)).points
@@ -235,9 +236,13 @@ def test_a_new_cloud_is_written_in_the_precision_of_its_source_or_as_asked(save,
 
 
 def test_arrays_and_tables_are_clouds_too(save, tmp_path):
-    for name, array in {
-        "a.npy": POINTS, "b.npy": POINTS.astype(np.float32), "c.npy": np.asfortranarray(POINTS), "d.npy": POINTS.astype(">f8"),
-    }.items():  # fmt: skip
+    arrays = {
+        "a.npy": POINTS,
+        "b.npy": POINTS.astype(np.float32),
+        "c.npy": np.asfortranarray(POINTS),
+        "d.npy": POINTS.astype(">f8"),
+    }
+    for name, array in arrays.items():
         np.save(tmp_path / name, array)
         assert np.array_equal(read_cloud(tmp_path / name).points, array), name
     assert read_cloud(tmp_path / "b.npy").precision == "float32"
@@ -262,23 +267,44 @@ BAD_PLY = {
     "no format": (f"ply\nelement vertex 2\n{XYZ}end_header\n0 0 0\n1 1 1\n", "no format"),
     "unknown format": (HEAD.format(2).replace("ascii", "morse") + "0 0 0\n1 1 1\n", "morse"),
     "other version": (HEAD.format(2).replace("1.0", "2.0") + "0 0 0\n1 1 1\n", "version 1.0"),
-    "no vertices": (HEAD.format(2).replace("vertex", "vertices") + "0 0 0\n1 1 1\n", "no vertex element"),
-    "no z": (HEAD.format(2).replace("float z", "float depth") + "0 0 0\n1 1 1\n", r"no z \(properties: 'x, y, depth'\)"),
-    "list for x": (HEAD.format(2).replace("float x", "list uchar float x") + "1 0 0 0\n1 1 1 1\n", "x .* is a list"),
+    "no vertices": (
+        HEAD.format(2).replace("vertex", "vertices") + "0 0 0\n1 1 1\n", "no vertex element",
+    ),
+    "no z": (
+        HEAD.format(2).replace("float z", "float depth") + "0 0 0\n1 1 1\n",
+        r"no z \(properties: 'x, y, depth'\)",
+    ),
+    "list for x": (
+        HEAD.format(2).replace("float x", "list uchar float x") + "1 0 0 0\n1 1 1 1\n",
+        "x .* is a list",
+    ),
     "x twice": (HEAD.format(2).replace("float y", "float x") + "0 0 0\n1 1 1\n", "second property"),
-    "vertex twice": (HEAD.format(2).replace("end_header", "element vertex 2\nend_header") + "0 0 0\n1 1 1\n", "second element"),
-    "unknown type": (HEAD.format(2).replace("float y", "quad y") + "0 0 0\n1 1 1\n", "types of PLY 1.0"),
+    "vertex twice": (
+        HEAD.format(2).replace("end_header", "element vertex 2\nend_header") + "0 0 0\n1 1 1\n",
+        "second element",
+    ),
+    "unknown type": (
+        HEAD.format(2).replace("float y", "quad y") + "0 0 0\n1 1 1\n", "types of PLY 1.0",
+    ),
     "list with a float length": (
-        HEAD.format(2).replace("end_header", "property list float int a\nend_header") + "0 0 0 0\n", "expected an integer type",
+        HEAD.format(2).replace("end_header", "property list float int a\nend_header") + "0 0 0 0\n",
+        "expected an integer type",
     ),
     "one point": (HEAD.format(1) + "0 0 0\n", "1 point, expected at least 2"),
     "cut line": (HEAD.format(2) + "0 0 0\n1 1", "line 9 has 2 values, expected 3"),
-    "too many": (HEAD.format(2) + "0 0 0\n1 1 1\n2 2 2\n", "has 3 lines of data, the header accounts for 2"),
+    "too many": (
+        HEAD.format(2) + "0 0 0\n1 1 1\n2 2 2\n", "has 3 lines of data, the header describes 2",
+    ),
     "impossible count": (HEAD.format(10**30) + "0 0 0\n1 1 1\n", "expected a name and a count"),
     "words": (HEAD.format(2) + "0 0 0\n1 one 1\n", "line 9 has 'one', expected a number"),
-    "not finite": (HEAD.format(4) + "0 0 0\n1 1 1\n1 nan 1\n2 inf 2\n", "2 of 4 points .*not finite.* point 2 "),
+    "not finite": (
+        HEAD.format(4) + "0 0 0\n1 1 1\n1 nan 1\n2 inf 2\n",
+        "2 of 4 points .*not finite.* point 2 ",
+    ),
     "huge number": (HEAD.format(2) + "0 0 0\n1 1e200 1\n", "coordinate of 1e\\+200"),
-    "all the same": (HEAD.format(3) + "1 2 3\n" * 3, r"all 3 points are the same \[1.0, 2.0, 3.0\]"),
+    "all the same": (
+        HEAD.format(3) + "1 2 3\n" * 3, r"all 3 points are the same \[1.0, 2.0, 3.0\]",
+    ),
     "a wide word": (HEAD.format(2) + "0 0 0\n1 1 " + "1" * 2000, "expected a number"),
 }  # fmt: skip
 
@@ -407,7 +433,7 @@ def test_any_damage_is_read_or_refused_in_one_line(save, tmp_path, name):
 @every_form
 def test_colours_are_read_as_shares_of_what_their_type_can_hold(save, form):
     assert_refused(
-        "its points have no colours, expected red, green and blue",
+        "its points have no colours, expected a PLY file with red, green and blue",
         read_cloud(save("a.ply", a_ply(form))).colours,
     )
     kinds = {

@@ -1,4 +1,4 @@
-"""Files that fuzzing found to break a reader, and randomly damaged ones where no other test damages them."""
+"""Files that broke a reader when it was fuzzed, and files that no other test damages."""
 
 import json
 

@@ -17,8 +17,10 @@ FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int64)
 def ply(vertices="0 0 0\n2 0 0\n0 3 0\n0 0 5\n", faces="3 0 2 1\n3 0 1 3\n", counts="4 2"):
     points, triangles = counts.split()
     return (
-        f"ply\nformat ascii 1.0\nelement vertex {points}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {triangles}\nproperty list uchar int vertex_indices\nend_header\n{vertices}{faces}"
+        f"ply\nformat ascii 1.0\nelement vertex {points}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {triangles}\nproperty list uchar int vertex_indices\nend_header\n"
+        f"{vertices}{faces}"
     )
 
 
@@ -45,7 +47,8 @@ def tetrahedron(path):
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_every_format_gives_the_same_triangles(tmp_path, suffix):
     mesh = read_mesh(tetrahedron(tmp_path / f"a{suffix}"))
-    assert (mesh.vertices.dtype, mesh.faces.dtype) == (np.float64, np.int64)
+    assert mesh.vertices.dtype == np.float64
+    assert mesh.faces.dtype == np.int64
     np.testing.assert_allclose(mesh.vertices[mesh.faces], VERTICES[FACES])
     assert mesh.colours is None
 
@@ -61,7 +64,8 @@ def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path):
     (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl green\nKd 0 1 0\n")
     path = tmp_path / "a.obj"
     path.write_text(
-        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\nusemtl red\nf 1 2 3\nusemtl green\nf 2 3 4\n"
+        "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 9 9 9\n"
+        "usemtl red\nf 1 2 3\nusemtl green\nf 2 3 4\n"
     )
     mesh = read_mesh(path)
     for corners, colour in zip(mesh.vertices[mesh.faces], mesh.colours, strict=True):

@@ -53,7 +53,7 @@ def test_what_cannot_be_an_output_is_refused(tmp_path, name, message):
 def test_an_existing_file_is_not_replaced_unasked(tmp_path, name):
     path = tmp_path / name
     path.write_text("old")
-    assert_refused(f"{name}: exists already.*--overwrite", WRITERS[name], path)
+    assert_refused(f"{name}: exists already.*`overwrite`", WRITERS[name], path)
     assert path.read_text() == "old"
     WRITERS[name](path, overwrite=True)
     assert path.read_bytes() != b"old"

@@ -8,8 +8,10 @@ from tso_cli.io.shapes import grid_surface, read_shape, shape_kind
 
 SQUARE_OFF = "OFF\n4 2 0\n0 0 0\n2 0 0\n2 2 0\n0 2 0\n3 0 1 2\n3 0 2 3\n"
 SQUARE_PLY = (
-    "ply\nformat ascii 1.0\ncomment element face 0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
-    "element face 2\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n2 0 0\n2 2 0\n0 2 0\n3 0 1 2\n3 0 2 3\n"
+    "ply\nformat ascii 1.0\ncomment element face 0\nelement vertex 4\n"
+    "property float x\nproperty float y\nproperty float z\n"
+    "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    "0 0 0\n2 0 0\n2 2 0\n0 2 0\n3 0 1 2\n3 0 2 3\n"
 )
 
 
@@ -21,10 +23,8 @@ def binvox_bytes(grid, translate="0 0 0", scale="1"):
         whole, rest = divmod(len(run), 255)
         runs += bytes([run[0], 255]) * whole + bytes([run[0], rest]) * (rest > 0)
     depth, width, height = grid.shape
-    return (
-        f"#binvox 1\ndim {depth} {height} {width}\ntranslate {translate}\nscale {scale}\ndata\n".encode()
-        + runs
-    )
+    head = f"#binvox 1\ndim {depth} {height} {width}\ntranslate {translate}\nscale {scale}\ndata\n"
+    return head.encode() + runs
 
 
 def ball(side, radius):
@@ -39,7 +39,8 @@ def test_points_of_a_voxel_ball_lie_near_the_sphere(save, name):
     grid = ball(32, 0.3)
     path = save(name, grid if name.endswith("npy") else binvox_bytes(grid, "-0.5 -0.5 -0.5"))
     points = read_shape(path, 2000)
-    assert (points.shape, points.dtype) == ((2000, 3), np.float64)
+    assert points.shape == (2000, 3)
+    assert points.dtype == np.float64
     assert np.abs(np.linalg.norm(points, axis=1) - 0.3).max() < 1.2 / 32
     assert np.abs(points.mean(0)).max() < 0.02
 
@@ -82,7 +83,8 @@ def test_soft_occupancy_places_the_surface_between_voxels(save):
     grid[:, :, :5] = 1.0
     grid[:, :, 5] = 0.25
     vertices, _ = grid_surface(save("soft.npy", grid))
-    # The middle of voxel 4 stands at -0.05; the value falls from 1 to 0.25 over one voxel and passes 0.5 after two thirds.
+    # The middle of voxel 4 is at -0.05. The value falls from 1 to 0.25 over one voxel, and passes
+    # 0.5 after two thirds.
     assert vertices[:, 2].max() == pytest.approx(-0.05 + 0.1 * 2 / 3, abs=1e-6)
 
 
@@ -137,11 +139,11 @@ GOOD = binvox_bytes(ball(6, 0.4))
         (GOOD.replace(b"dim 6 6 6", b"dim 6 6 6.5"), "dim is"),
         (GOOD.replace(b"dim 6 6 6", b"dim 0 6 6"), "expected 1 to"),
         (GOOD.replace(b"dim 6 6 6", b"dim 1e300 1e300 1"), "expected 1 to"),
-        (GOOD.replace(b"dim 6 6 6", b"dim 6 6 7"), "hold 216 voxels, dim promises 252"),
+        (GOOD.replace(b"dim 6 6 6", b"dim 6 6 7"), "hold 216 voxels, expected 252 as dim says"),
         (GOOD.replace(b"scale 1", b"scale 0"), "scale is 0"),
         (GOOD.replace(b"scale 1", b"scale nan"), "scale is"),
         (GOOD[:-1], "middle of a run"),
-        (GOOD[:-2], "dim promises 216"),
+        (GOOD[:-2], "expected 216 as dim says"),
         (GOOD[:-2] + b"\x02" + GOOD[-1:], "value 2, expected 0 or 1"),
         (binvox_bytes(np.zeros((4, 4, 4))), "no voxel of the 4 x 4 x 4 grid"),
         (np.full((3, 3, 3), np.nan), "NaN"),

@@ -25,8 +25,11 @@ def both_forms(monkeypatch) -> Callable[[Callable[[], Any]], tuple[Any, Any]]:
 
 @pytest.fixture
 def assert_same_on_threads(monkeypatch) -> Any:
-    """Assert that the tensors a function returns have the same bits on 1, 2 and 7 threads, however little the work is."""
-    monkeypatch.setattr(jit, "WORTH_A_THREAD", 1)
+    """Assert that the tensors a function returns have the same bits on 1, 2 and 7 threads.
+
+    Threads share the work however small it is.
+    """
+    monkeypatch.setattr(jit, "STEPS_WORTH_A_THREAD", 1)
     threads = torch.get_num_threads()
 
     def check(function: Callable[[], tuple[torch.Tensor, ...]]) -> None:

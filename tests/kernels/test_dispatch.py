@@ -82,7 +82,8 @@ REFINE = """
 import sys, numpy as np
 from tso_cli.refinement import RefineConfig, refine
 mask = np.zeros((64, 64), np.float32); mask[20:44, 20:44] = 1.0
-refine(np.random.default_rng(0).uniform(-0.3, 0.3, (16384, 3)), mask, config=RefineConfig(steps=200))
+points = np.random.default_rng(0).uniform(-0.3, 0.3, (16384, 3))
+refine(points, mask, config=RefineConfig(steps=200))
 assert 'numba' in sys.modules and 'torch' not in sys.modules
 """
 

@@ -12,29 +12,26 @@ from numba import njit
 
 from tests.corruption import full_disk
 from tso_cli.kernels import jit, simd
-from tso_cli.kernels.jit import forget_stale, share
+from tso_cli.kernels.jit import share, tidy
 from tso_cli.kernels.splat import splat
 from tso_cli.kernels.tensors import PrecomputedGradient
 
 
-def test_machine_code_older_than_any_source_is_removed(tmp_path):
-    cache = tmp_path / "__pycache__"
-    cache.mkdir()
-    for age, name in (
-        (30, "one.py"),
-        (10, "two.py"),
-        (20, "__pycache__/one.f.nbi"),
-        (5, "__pycache__/two.g.nbi"),
-    ):
+def test_machine_code_older_than_any_source_is_removed(tmp_path, monkeypatch):
+    # A function of one file may contain code of another one, which is newer.
+    monkeypatch.setattr(jit, "_sources_changed", lambda: 1e9)
+    for age, name in ((20, "one.f.nbi"), (-5, "two.g.nbi")):
         (tmp_path / name).touch()
         os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
-    forget_stale(tmp_path)
-    # a function of one.py may hold code of two.py, which is newer
-    assert [path.name for path in cache.iterdir()] == ["two.g.nbi"]
-    forget_stale(tmp_path / "absent")
+    tidy(str(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["two.g.nbi"]
+    tidy(str(tmp_path / "absent"))
 
 
-def test_what_a_killed_process_left_beside_the_machine_code_is_removed_a_minute_later(tmp_path):
+def test_what_a_killed_process_left_with_the_machine_code_is_removed_a_minute_later(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(jit, "_sources_changed", lambda: 0.0)
     stale, living, *others = paths = [
         tmp_path / name
         for name in ("a.1.nbc.tmp.0", "a.nbi.tmp.1", "a.1.nbc", "a.nbi", "notes.tmp.0")
@@ -43,7 +40,7 @@ def test_what_a_killed_process_left_beside_the_machine_code_is_removed_a_minute_
         path.touch()
         if path != living:
             os.utime(path, (1e9, 1e9))
-    jit.sweep(str(tmp_path))
+    tidy(str(tmp_path))
     assert not stale.exists()
     assert all(path.exists() for path in (living, *others))
 
@@ -53,18 +50,18 @@ def test_without_a_writable_folder_the_loops_are_compiled_in_every_process(monke
         raise RuntimeError("cannot cache function: no locator available")
 
     monkeypatch.setattr(jit, "_Cache", no_folder)
-    assert jit.compiled(lambda x: 2.0 * x)(2.0) == 4.0
+    assert jit.kept_on_disk(lambda x: 2.0 * x)(2.0) == 4.0
 
 
 def test_a_full_disk_does_not_stop_the_work(monkeypatch):
     monkeypatch.setattr(jit._CheckedFile, "save", full_disk)
     monkeypatch.setattr(jit, "_warned", [])
     with pytest.warns(UserWarning, match="No space left on device.*compiled anew"):
-        assert jit.compiled(lambda x: 2.0 * x)(2.0) == 4.0
+        assert jit.kept_on_disk(lambda x: 2.0 * x)(2.0) == 4.0
 
 
 def test_ctrl_c_while_a_loop_is_compiled_arrives_when_it_is():
-    loop = jit.compiled(lambda x: 2.0 * x)
+    loop = jit.kept_on_disk(lambda x: 2.0 * x)
 
     def interrupted(*_):
         signal.raise_signal(signal.SIGINT)

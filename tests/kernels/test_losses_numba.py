@@ -23,7 +23,7 @@ def _clouds(seed: int, images: int, count: int, size: float, dtype: torch.dtype 
 
 
 def _masks(seed: int, images: int, height: int, width: int) -> torch.Tensor:
-    """Blobs, of which the first is empty and the second everywhere."""
+    """Blobs; the first is empty and the second fills the image."""
     noise = torch.rand(images, 1, 5, 6, generator=torch.Generator().manual_seed(seed))
     masks = (
         (torch.nn.functional.interpolate(noise, (height, width), mode="bilinear") > 0.55)
@@ -147,7 +147,7 @@ def test_pixels_attract_the_nearest_of_any_few_points(rows):
         torch.ones(1, 9, 13, dtype=torch.bool),
         torch.ones(1, len(rows), dtype=torch.bool),
     )
-    # Of points equally near but for rounding either may be the nearest: only the value is the same.
+    # If two points are equally near up to rounding, either may be found; the value is the same.
     (value, _), (expected, _) = _nearest_both_ways(pixels, points, valid)
     torch.testing.assert_close(value, expected, rtol=1e-9, atol=1e-9)
 

@@ -1,4 +1,7 @@
-"""The sums of Gaussians: the windowed kernels against the exact product, and that against the printed formula."""
+"""The sums of Gaussians.
+
+The windowed kernels against the exact product, and the product against the printed formula.
+"""
 
 import pytest
 import torch

@@ -1,4 +1,7 @@
-"""The GPU's kernels against the exact product and against all pairs; without a GPU in Triton's interpreter."""
+"""The GPU's kernels against the exact product and all pairs.
+
+Without a GPU they run in Triton's interpreter.
+"""
 
 import importlib.util
 import math
@@ -161,7 +164,7 @@ def test_losses_of_whole_batches_are_those_of_single_clouds(in_rows, monkeypatch
 
 
 def _losses_and_gradients(cloud, target, points, valid, mask, weight):
-    """Chamfer distance to the target, the mask's cross-entropy, and the gradients of a weighted sum of them."""
+    """Chamfer distance, cross-entropy of the mask, and gradients of their weighted sum."""
     cloud, points = cloud.requires_grad_(), points.requires_grad_()
     sums = splat(points, valid, *mask.shape[1:], 0.4)
     values = sum(chamfer(cloud, target)), silhouette_bce(sums, mask, points, valid, 0.4)

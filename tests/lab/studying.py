@@ -1,8 +1,9 @@
-"""What tests of studies share: the shipped shapes as a split, a small network, and the command line."""
+"""What tests of studies share: the shipped shapes as a split, small networks and material."""
 
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,19 @@ import numpy as np
 import pytest
 
 from tso_cli.io.checkpoints import save_network
+from tso_cli.lab.studies.material import Material
 from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
 
 from ..training import make_thin
 
 MESHES = Path(__file__).parents[2] / "examples" / "meshes"
+TRAIN = ["car/qreal_SUV", "car/qbasic_BasicCar", "car/qreal_NormalCar1", "chair/q19_Chair"]
+TRAIN += ["chair/q17_Chair", "airplane/qplane_SmallPlane", "airplane/qplane_Private_plane"]
+VALIDATION = ["car/qreal_Cop", "car/qpublic_Taxi", "chair/kfurn_chair"]
+TEST = ["airplane/qplane_Military_Airplane", "car/qbasic_RaceCar", "chair/kfurn_chairRounded"]
+SMALL = partial(Material, views=(8, 5), size=32, mean_steps=30)
+"""Few and small pictures, a mean shape of few steps."""
 
 
 def write_split(folder: Path, **parts: list[str]) -> Path:
@@ -41,8 +49,8 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(0)
 
 
-def holding(claims: list[dict]) -> list[bool]:
-    return [claim["holds"] for claim in claims]
+def holding(record: dict) -> list[bool]:
+    return [claim["holds"] for claim in record["claims"]]
 
 
 def timeless(value: Any) -> Any:

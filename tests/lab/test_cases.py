@@ -17,8 +17,7 @@ from tso_cli.lab.studies.cases import LEVELS, MASKS, CaseBuilder
 from tso_cli.lab.studies.shapes import shapes_of_part
 from tso_cli.render import RenderSettings, fitting_distance, ground_truth, normalise
 
-from .conftest import TRAIN
-from .studying import MESHES, thin_checkpoint
+from .studying import MESHES, TRAIN, thin_checkpoint
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +150,7 @@ def test_a_networks_case_is_in_the_axes_of_a_camera_that_stands_where_it_stood(
     for case in builder.cases(shapes["car"], "network"):
         assert len(case.views) == MASKS
         assert case.views[0].mask.shape == (64, 64)
-        # The truth, turned, falls on the mask of the crop, and on those of the other cameras: axes, K and t are right.
+        # The turned truth falls on the masks of the crop and of the other cameras.
         for view in case.views:
             assert on_mask(replace(case, views=(view,))) > 0.99
         assert chamfer(case.target, case.dense).backward == 0.0

@@ -25,7 +25,10 @@ HEIGHT, WIDTH = 6, 9
 
 
 def scattered(count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Points inside and around a small picture, their depths, and which are valid: none in the last of three images."""
+    """Points inside and around a small picture, their depths, and which are valid.
+
+    None is valid in the last of three images.
+    """
     rng = np.random.default_rng(0)
     points = rng.uniform([-2.0, -2.0], [WIDTH + 1.0, HEIGHT + 1.0], (3, count, 2))
     valid = rng.random((3, count)) < [[0.8], [0.8], [0.0]]
@@ -39,7 +42,7 @@ def scattered(count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
 def depth_by_loops(
     points: np.ndarray, depth: np.ndarray, valid: np.ndarray, upsampling: int
 ) -> np.ndarray:
-    """Each cell of the finer grid keeps the last point that falls into it; each pixel shows the nearest of its cells."""
+    """Each cell of the finer grid keeps its last point; each pixel shows its nearest cell."""
     fine = np.full((HEIGHT * upsampling, WIDTH * upsampling), np.inf)
     for (x, y), z in zip(points[valid], depth[valid], strict=True):
         column, row = int(np.floor((x + 0.5) * upsampling)), int(np.floor((y + 0.5) * upsampling))

@@ -7,7 +7,7 @@ import pytest
 
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.lab.studies.cases import CaseBuilder
-from tso_cli.lab.studies.evidence import Question, conclude, judge, tables
+from tso_cli.lab.studies.evidence import Question, conclude, refine_rows, tables
 from tso_cli.lab.studies.evidence_alterations import (
     Truth,
     paint_of,
@@ -22,8 +22,7 @@ from tso_cli.lab.studies.shapes import shapes_of_part
 from tso_cli.optimisation.symmetry import find_mirror_plane
 from tso_cli.refinement import RefineConfig
 
-from .conftest import VALIDATION
-from .studying import MESHES, rng
+from .studying import MESHES, VALIDATION, rng
 
 
 @pytest.fixture(scope="module")
@@ -105,13 +104,8 @@ def test_a_photo_shows_the_paint_of_what_is_seen_shaded_on_white(cases, truths):
     assert np.median(image[far]) == 1.0
 
 
-QUICK = RefineConfig(steps=3)
-
-
 @pytest.mark.slow
-def test_a_row_that_a_case_cannot_have_is_left_out_and_planes_are_told_where_they_are_asked_for(
-    cases, truths
-):
+def test_a_row_that_a_case_cannot_have_is_left_out_and_planes_are_counted(cases, truths):
     none, auto = (
         Variant(RefineConfig(steps=3, symmetry=symmetry)) for symmetry in ("none", "auto")
     )
@@ -123,7 +117,7 @@ def test_a_row_that_a_case_cannot_have_is_left_out_and_planes_are_told_where_the
     records = [
         record
         for name in cases
-        for record in judge("cars", question, [(cases[name], truths[name])], 0)
+        for record in refine_rows("cars", question, [(cases[name], truths[name])], 0)
     ]
     summary = conclude(records)["summary"]["cars"]["other"]
     assert summary["all"]["as it is"]["cases"] == 2

@@ -36,7 +36,7 @@ PLACES = st.lists(
 
 
 def points_of(places: list[tuple[float, float, float]], camera: Camera) -> np.ndarray:
-    """Points off the borders of pixels and none as near as another: there both forms may round differently."""
+    """Points away from the borders of pixels, no two equally near: both forms round alike there."""
     column, row, depth = (
         np.round(places, 3) + np.random.default_rng(4).uniform(1e-4, 9e-4, (len(places), 3))
     ).T
@@ -44,7 +44,7 @@ def points_of(places: list[tuple[float, float, float]], camera: Camera) -> np.nd
 
 
 def scattered(count: int = 60, seed: int = 1) -> np.ndarray:
-    """Pixels in and beside the image, the last ones next to borders of pixels and of the image."""
+    """Pixels inside and outside the image; the last lie near borders of pixels and the image."""
     pixels = np.random.default_rng(seed).uniform([-3, -3], [WIDTH + 3, HEIGHT + 3], (count, 2))
     borders = [
         [4.5, 3.2],

@@ -18,7 +18,7 @@ CLOUDS = {
     "clustered": lambda rng: rng.normal(size=(400, 3)) * 1e-3 + rng.integers(0, 3, (400, 1)),
     "duplicated": lambda rng: np.tile(rng.random((40, 3)), (10, 1)),
     "flat": lambda rng: rng.random((300, 3)) * [1.0, 0.0, 1.0],
-    "with a stray point": lambda rng: np.concatenate([rng.random((300, 3)), [[500.0, 0.0, -3.0]]]),
+    "with an outlier": lambda rng: np.concatenate([rng.random((300, 3)), [[500.0, 0.0, -3.0]]]),
     "all in one place": lambda rng: np.tile(rng.random((1, 3)), (300, 1)),
 }
 

@@ -51,7 +51,7 @@ def _uneven() -> np.ndarray:
 
 
 def _scene(count: int) -> np.ndarray:
-    """Points before, on and behind the surface, at the borders of pixels and of the image, and behind the camera."""
+    """Points in front of, on and behind the surface, at borders, and behind the camera."""
     pixels = scattered()[-count:]
     depth = np.random.default_rng(4).uniform(1.5, 2.6, count)
     depth[::9] = -1.0

@@ -41,9 +41,9 @@ SCENES = {
         None,
     ),
     "a mask thinner than a pixel": (MaskTarget.of(LINE), "perspective", None),
-    "an enlarged mask": (MaskTarget.of(DISC, grain=3.3), "perspective", None),
+    "an enlarged mask": (MaskTarget.of(DISC, cells_per_mask_pixel=3.3), "perspective", None),
     "a mask enlarged beyond the pixels that are tried first": (
-        MaskTarget.of(DISC, grain=4.5),
+        MaskTarget.of(DISC, cells_per_mask_pixel=4.5),
         "perspective",
         None,
     ),
@@ -53,7 +53,7 @@ SCENES = {
 
 
 def _objective(name: str, robust_scale: float = 3.0) -> tuple[MaskChamferObjective, np.ndarray]:
-    """The loss by one view, and points of which some lie behind the camera."""
+    """The loss by one view, and points that lie in front of the camera and behind it."""
     target, model, parts = SCENES[name]
     camera, pixels = camera_of(model), scattered()
     depth = np.random.default_rng(3).uniform(1.0, 3.0, len(pixels))
@@ -79,12 +79,12 @@ def _oracle(points: torch.Tensor, objective: MaskChamferObjective) -> torch.Tens
     def robust(squared: torch.Tensor) -> torch.Tensor:
         return oracles.robust(squared * area, objective.robust_scale)
 
-    # Column by column: of foreground pixels equally near, the leftmost and then the upper one counts.
+    # Column by column: of foreground pixels equally near, the leftmost, then the upper one counts.
     foreground = torch.tensor(np.argwhere(target.inside.T), dtype=torch.float64)
     squared = (foreground[:, None] - pixels).square().sum(2)
     nearest = squared.masked_fill(~valid, torch.inf).argmin(1)
     squared = squared.gather(1, nearest[:, None])[:, 0]
-    paired = observed[nearest] & (squared > (COVERED_WITHIN * target.grain) ** 2)
+    paired = observed[nearest] & (squared > (COVERED_WITHIN * target.cells_per_mask_pixel) ** 2)
     uncovered = (robust(squared[paired]) * area).sum()
     own_pixel = torch.stack([x.clamp(0, WIDTH - 1), y.clamp(0, HEIGHT - 1)], 1).round()
     on_background = observed & in_image
@@ -92,10 +92,10 @@ def _oracle(points: torch.Tensor, objective: MaskChamferObjective) -> torch.Tens
         tuple(own_pixel[on_background].long().T.flip(0))
     ]
     nearest = (own_pixel[:, None] - foreground).square().sum(2).argmin(1)
-    stray = (
+    outside = (
         robust((pixels - foreground[nearest]).square().sum(1)) * resolved * (1024.0 / len(points))
     )
-    return view.weight * (uncovered + stray[on_background].sum())
+    return view.weight * (uncovered + outside[on_background].sum())
 
 
 @FORMS
@@ -141,14 +141,14 @@ def test_any_points_cost_the_same_in_both_forms(places, name, robust_scale):
 def test_a_view_that_observes_no_point_has_an_infinite_loss(name, form):
     objective, points = _objective(name)
     places, camera = ((9.0, -2.0), (-50.0, 2.0)), objective.targets.views[0].camera
-    behind, beside = (
+    behind, beyond = (
         points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in places
     )
     value, gradient = in_form(form, objective, behind)
     assert value == np.inf
     assert not gradient.any()
-    # Beyond the border that truncates the object, nobody can judge them.
-    assert np.isinf(in_form(form, objective, beside)[0]) == (name == "a truncated object")
+    # Points beyond the border that truncates the object cannot be compared.
+    assert np.isinf(in_form(form, objective, beyond)[0]) == (name == "a truncated object")
     unweighted = replace(objective.targets.views[0], weight=0.0)
     assert in_form(form, replace(objective, targets=ViewTargets((unweighted,))), behind)[0] == 0.0
 

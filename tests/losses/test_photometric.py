@@ -38,9 +38,9 @@ def test_the_loss_ignores_exposure_and_grows_with_the_weight_of_the_view():
     assert term(COLOURS, photo(), ASIDE, weight=0.3)(ASIDE)[0] == pytest.approx(0.3 * expected)
 
 
-def test_points_hidden_or_beside_the_mask_add_nothing():
-    hidden, beside = ASIDE * 0.9 - [0.0, 0.0, 0.1], np.array([[0.0, 0.49, 0.0]])
-    more = np.concatenate([ASIDE, hidden, beside])
+def test_points_hidden_or_outside_the_mask_add_nothing():
+    hidden, outside = ASIDE * 0.9 - [0.0, 0.0, 0.1], np.array([[0.0, 0.49, 0.0]])
+    more = np.concatenate([ASIDE, hidden, outside])
     of_more = np.concatenate([COLOURS, 1.0 - COLOURS, [[1.0, 0.0, 1.0]]])
     expected = loss(ASIDE, COLOURS, photo()) * len(POINTS) / len(more)
     assert loss(more, of_more, photo()) == pytest.approx(expected, rel=1e-9)
@@ -53,13 +53,13 @@ def test_the_loss_vanishes_where_the_paint_is_another():
 
 @pytest.fixture
 def scene() -> tuple[PhotometricTerm, np.ndarray]:
-    """A term, and points beside those that it started at: some hidden, some beyond the mask, some beyond the image."""
+    """A term, and points near its start: some hidden, some outside the mask or the image."""
     rng = np.random.default_rng(5)
     points, colours = sheet(6.0)
     points = points + rng.uniform(-0.01, 0.01, points.shape) * [1.0, 1.0, 0.1]
     # Behind their neighbours: the camera stands at z = 2.
     points[3:60:7] = points[2:59:7] * 1.1 - [0.0, 0.0, 0.2]
-    # Beside the image, behind the camera, and beyond the centres of the outermost pixels.
+    # Outside the image, behind the camera, and beyond the centres of the outermost pixels.
     points[5:8] = [[0.7, 0.1, 0.0], [0.1, 0.2, 3.0], [-0.544, 0.2, 0.0]]
     inside = (MASK > 0.5) | (np.arange(64) < 3)
     return term(colours, photo(0.8), points, mask=inside), points + [0.013, -0.011, 0.0]

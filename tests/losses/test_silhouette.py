@@ -1,4 +1,6 @@
-"""The silhouette (Eq. 2) and its cross-entropy (Eq. 4): finite, and with a gradient, where the printed formula has none.
+"""The silhouette (Eq. 2) and its cross-entropy (Eq. 4).
+
+They are finite, and have a gradient, where the printed formula has none.
 
 The form of the training, in torch, must fulfil the same statements.
 """
@@ -29,7 +31,8 @@ SIGMA_SQ = 0.4
 RANDOM = np.random.default_rng(0)
 ROWS, COLUMNS = np.mgrid[:64, :64]
 DISC = ((ROWS - 31.5) ** 2 + (COLUMNS - 31.5) ** 2 < 144).astype(float)
-# Tolerance of each form; in torch the window leaves out what is under 1e-8, and the compiled loops have single precision.
+# Tolerance of each form: the window in torch leaves out sums under 1e-8, and the compiled loops
+# have single precision.
 TOLERANCES = {NUMPY: 1e-9, COMPILED: 1e-4, "torch": 1e-5, "torch compiled": 1e-5}
 FORMS = pytest.mark.parametrize(
     "form", TOLERANCES, ids=["numpy", "compiled", "torch", "torch compiled"]
@@ -37,7 +40,7 @@ FORMS = pytest.mark.parametrize(
 
 
 def _bce(form, points, mask, known=None, valid=None, sigma_sq=SIGMA_SQ) -> tuple[float, np.ndarray]:
-    """Value and gradient in one form, of all points unless ``valid``, of all pixels unless ``known``."""
+    """Value and gradient in one form, of ``valid`` points and ``known`` pixels (None: all)."""
     points = np.asarray(points, float)
     valid = np.ones(len(points), bool) if valid is None else valid
     known = np.ones(mask.shape) if known is None else known
@@ -69,9 +72,9 @@ def _oracle(
     missed = torch.where(
         covered, -torch.log(torch.tanh(torch.where(covered, sums, 1.0))), nearest / (2.0 * sigma_sq)
     )
-    stray = torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)
+    extra = torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)
     foreground, background = (torch.tensor(part) for part in (mask * known, (1.0 - mask) * known))
-    return (missed * foreground + stray * background).sum() * (4096.0 / (width * height))
+    return (missed * foreground + extra * background).sum() * (4096.0 / (width * height))
 
 
 def _soft(height: int = 22, width: int = 30) -> np.ndarray:
@@ -144,7 +147,8 @@ def test_where_points_cover_the_mask_the_loss_is_equation_4_over_all_points(form
     assert_equal(_bce(form, points, DISC), expected, 1e-5)
 
 
-# Beyond every window; and a pixel in the corner of the first point's square window, which the second one is nearer to.
+# Beyond every window; and a pixel in the corner of the first point's square window that is nearer
+# to the second point.
 FAR_PIXELS = [((10, slice(12, 40)), [[11.3, 9.8]]), ((20, 20), [[24.4, 24.4], [24.55, 20.0]])]
 
 
@@ -186,7 +190,8 @@ def test_the_total_gradient_on_soft_masks_is_that_of_equation_4(points, seed):
     expected = by_autograd(
         lambda leaf: oracles.bce(leaf, torch.tensor(mask), SIGMA_SQ), np.array(points)
     )[1]
-    # The nearest point stands for all beyond the window; where several are as near, log-sum-exp shares the attraction.
+    # The nearest point stands for all points beyond the window; if several are equally near,
+    # log-sum-exp shares the attraction.
     for form in (NUMPY, "torch"):
         error = _bce(form, points, mask)[1].sum(0) - expected.sum(0)
         assert np.abs(error).max() <= 0.2 * (np.abs(expected).sum() + 1.0)

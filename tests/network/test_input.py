@@ -20,7 +20,7 @@ def rectangle(height, width, region):
 
 
 def overlaps(low, high, cells, pixels):
-    """Lengths [cells, pixels] that the cells between two borders share with the pixels of an image."""
+    """Lengths [cells, pixels] that cells between two borders share with the pixels of an image."""
     borders, centres = np.linspace(low, high, cells + 1)[:, None], np.arange(pixels)
     return np.clip(
         np.minimum(borders[1:], centres + 0.5) - np.maximum(borders[:-1], centres - 0.5), 0.0, None
@@ -74,7 +74,8 @@ def test_the_cropped_camera_projects_points_to_their_pixels_in_the_crop():
         centre = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
         np.testing.assert_allclose(centre, crop.camera.project(point[None])[0][0], atol=1e-2)
     np.testing.assert_array_equal([*crop.camera.R, crop.camera.t], [*camera.R, camera.t])
-    assert (crop.camera.width, crop.camera.height) == (64, 64)
+    assert crop.camera.width == 64
+    assert crop.camera.height == 64
 
 
 @pytest.mark.parametrize(("background", "value"), [("black", 0.0), ("white", 1.0), ("keep", 0.6)])
@@ -140,7 +141,7 @@ def test_wrong_sizes_are_refused():
 
 @pytest.mark.parametrize("size", [0.3, 0.9])
 def test_a_crop_of_share_0_keeps_the_size_of_the_object(size):
-    """The larger of two objects at one distance fills more of the input; the canonical picture is not cropped."""
+    """The larger of two objects fills more of the input; the canonical picture is not cropped."""
     half = round(60.0 * size)  # of its side, in pixels of 128
     view = rectangle(128, 128, np.s_[64 - half : 64 + half, 64 - half : 64 + half])
     crop = network_input(np.zeros((128, 128, 3), np.uint8), view, crop_share=0.0)
@@ -181,7 +182,7 @@ def test_a_crop_of_share_0_needs_the_object_before_the_camera_and_near_the_origi
     assert_refused(message, network_input, np.zeros((64, 64, 3), np.uint8), view, crop_share=0.0)
 
 
-def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_without_one(chair):
+def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_notes_its_absence(chair):
     image = read_image(EXAMPLES / "chair" / "image.png")
     network, config = build_network(seed=0).eval(), NetworkConfig(crop_share=0.0)
 
@@ -193,5 +194,6 @@ def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_warns_wi
 
     # The same object, said to be nearer and so smaller, fills less of what the network sees.
     assert crop_of(0.75).sum() < 0.7 * crop_of(1.0).sum()
-    with pytest.warns(UserWarning, match="tells sizes by the whole picture"):
-        network_scene(image, chair.view, network, config, known_camera=False)
+    for known_camera, notes in ((True, []), (False, ["assumed-picture"])):
+        scene = network_scene(image, chair.view, network, config, known_camera=known_camera)
+        assert [finding.name for finding in scene.refined.known] == notes

@@ -1,4 +1,4 @@
-"""Adam, with one scale for each number and with one for the whole cloud, and torch's without the start-up of torch.optim."""
+"""Adam with a scale for each number, with one scale for the cloud, and torch's Adam for weights."""
 
 import subprocess
 import sys
@@ -30,17 +30,17 @@ def test_with_one_scale_steps_keep_the_proportions_of_the_mean_gradient():
         square = 0.999 * square + 0.001 * np.square(gradient).sum(1).max()
         expected = -0.04 * mean / (1.0 - 0.9**number) / np.sqrt(square / (1.0 - 0.999**number))
         np.testing.assert_allclose(optimiser.step(gradient), expected, rtol=1e-9)
-    # The first step moves the point of the largest gradient by the learning rate; without a gradient nothing moves.
+    # The first step moves the point with the largest gradient by the learning rate.
     first = np.linalg.norm(UniformAdam(0.04).step(GRADIENTS[0]), axis=1)
     assert first.max() == pytest.approx(0.04)
     assert first[0] < 1e-8
     assert not UniformAdam(0.04).step(np.zeros((7, 3))).any()
 
 
-def _descend(step_of, parameters) -> list[torch.Tensor]:
+def _minimised(step_of, parameters) -> list[torch.Tensor]:
     goal = torch.linspace(-1.0, 1.0, 12).view(4, 3)
     for i in range(20):
-        # sums and transposed matrices: their gradients are laid out unlike the parameters
+        # Gradients of sums and transposed matrices are laid out unlike the parameters.
         loss = ((parameters[0] - goal) ** 2).sum() * (1 + i) + parameters[1].square().sum()
         step_of(loss + parameters[2].sum() + (parameters[2].t() ** 2 @ torch.ones(3)).sum())
     return parameters
@@ -60,15 +60,16 @@ def test_steps_of_weights_are_those_of_torchs_own_optimiser(fused, tolerance):
         loss.backward()
         reference.step()
 
-    _descend(lambda loss: optimiser.apply(torch.autograd.grad(loss, mine)), mine)
-    _descend(step, theirs)
+    _minimised(lambda loss: optimiser.apply(torch.autograd.grad(loss, mine)), mine)
+    _minimised(step, theirs)
     for a, b in zip(mine, theirs, strict=True):
         torch.testing.assert_close(a, b, atol=tolerance, rtol=tolerance)
 
 
 def test_a_step_of_weights_does_not_import_torchs_compiler():
     code = (
-        "import sys, torch; from tso_cli.optimisation.network_parameters import TorchAdam; p = torch.ones(3)\n"
-        "TorchAdam([p], 0.1).apply([p]); assert 'torch._dynamo' not in sys.modules"
+        "import sys, torch; from tso_cli.optimisation.network_parameters import TorchAdam\n"
+        "p = torch.ones(3); TorchAdam([p], 0.1).apply([p])\n"
+        "assert 'torch._dynamo' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

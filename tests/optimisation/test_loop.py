@@ -1,7 +1,6 @@
 """The optimisation loop: the best iterate, whatever ends it, and Eq. 7."""
 
 import sys
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -12,7 +11,7 @@ from tests import oracles
 from tests.losses.common import FORMS, in_form
 from tests.scenes import block
 from tso_cli import Camera, RefineConfig, View, refine
-from tso_cli.optimisation.loop import descend, offset_progress, sum_of
+from tso_cli.optimisation.loop import minimise, offset_progress, sum_of
 from tso_cli.optimisation.objective import SilhouetteObjective
 from tso_cli.optimisation.resampled_view import resample_view
 
@@ -23,16 +22,14 @@ class Iterates:
     """Parameters whose points are the start times these factors, one after another."""
 
     def __init__(self, *factors: float) -> None:
-        self.points, self.number = [START * factor for factor in factors], 0
+        self.iterates, self.number = [START * factor for factor in factors], 0
 
-    def forward(self) -> tuple[np.ndarray, Callable[[np.ndarray], None]]:
-        points = self.points[self.number]
+    def points(self) -> np.ndarray:
+        return self.iterates[self.number]
 
-        def step(gradient: np.ndarray) -> None:
-            np.testing.assert_array_equal(gradient, 2.0 * points)
-            self.number += 1
-
-        return points, step
+    def step(self, gradient: np.ndarray) -> None:
+        np.testing.assert_array_equal(gradient, 2.0 * self.points())
+        self.number += 1
 
 
 def _square(points: np.ndarray) -> tuple[float, np.ndarray]:
@@ -41,31 +38,37 @@ def _square(points: np.ndarray) -> tuple[float, np.ndarray]:
 
 def test_the_best_iterate_is_kept_and_every_step_reported():
     reported, parameters = [], Iterates(1.0, 0.5, 0.1, 0.7)
-    descent = descend(
+    optimised = minimise(
         parameters, _square, 3, offset_progress(lambda *step: reported.append(step), 10, 99)
     )
-    losses = [_square(points)[0] for points in parameters.points]
-    assert (descent.best_step, descent.interrupted, descent.losses) == (2, False, losses)
-    assert (descent.first_loss, descent.best_loss) == (losses[0], losses[2])
-    np.testing.assert_array_equal(descent.best, parameters.points[2])
+    losses = [_square(points)[0] for points in parameters.iterates]
+    assert optimised.losses == losses
+    assert optimised.best_step == 2
+    assert optimised.steps == 3
+    assert not optimised.interrupted
+    assert optimised.first_loss == losses[0]
+    assert optimised.best_loss == losses[2]
+    np.testing.assert_array_equal(optimised.best, parameters.iterates[2])
     assert reported == [(11, 99, losses[1]), (12, 99, losses[2]), (13, 99, losses[3])]
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 @pytest.mark.parametrize("where", ["points", "loss"])
-def test_an_iterate_that_is_not_finite_ends_the_descent_and_is_never_the_best(where, bad):
+def test_an_iterate_that_is_not_finite_ends_the_optimisation_and_is_never_the_best(where, bad):
     parameters = Iterates(1.0, 0.5, 0.1, 0.05)
     if where == "points":
-        parameters.points[2][1, 2] = bad
+        parameters.iterates[2][1, 2] = bad
 
     def objective(points: np.ndarray) -> tuple[float, np.ndarray]:
         assert np.isfinite(points).all()
-        return (bad if points is parameters.points[2] else _square(points)[0]), 2.0 * points
+        return (bad if points is parameters.iterates[2] else _square(points)[0]), 2.0 * points
 
-    descent = descend(parameters, objective, 3)
-    assert (descent.best_step, len(descent.losses), descent.interrupted) == (1, 3, False)
-    assert np.isnan(descent.losses[2])
-    np.testing.assert_array_equal(descent.best, 0.5 * START)
+    optimised = minimise(parameters, objective, 3)
+    assert optimised.best_step == optimised.steps == 1
+    assert not optimised.interrupted
+    assert len(optimised.losses) == 3
+    assert np.isnan(optimised.losses[2])
+    np.testing.assert_array_equal(optimised.best, 0.5 * START)
 
 
 def test_best_iterate_its_step_and_its_loss_agree_wherever_an_interrupt_falls():
@@ -80,19 +83,33 @@ def test_best_iterate_its_step_and_its_loss_agree_wherever_an_interrupt_falls():
 
         parameters = Iterates(1.0, 0.5, 0.7, 0.4)
         sys.settrace(
-            lambda frame, event, argument: interrupt if frame.f_code is descend.__code__ else None
+            lambda frame, event, argument: interrupt if frame.f_code is minimise.__code__ else None
         )  # noqa: B023
         try:
-            descent = descend(parameters, _square, 3)
+            optimised = minimise(parameters, _square, 3)
         except KeyboardInterrupt:
             continue
         finally:
             sys.settrace(None)
-        best_steps += [descent.best_step] * descent.interrupted
-        np.testing.assert_array_equal(descent.best, parameters.points[descent.best_step])
-        assert descent.best_loss == _square(descent.best)[0]
-        assert descent.losses[0] == descent.first_loss == _square(START)[0]
+        best_steps += [optimised.best_step] * optimised.interrupted
+        np.testing.assert_array_equal(optimised.best, parameters.iterates[optimised.best_step])
+        assert optimised.best_loss == _square(optimised.best)[0]
+        assert optimised.losses[0] == optimised.first_loss == _square(START)[0]
     assert set(best_steps) == {0, 1, 3}
+
+
+def test_the_loop_ends_when_its_time_is_over_but_not_before_one_step():
+    optimised = minimise(Iterates(1.0, 0.5, 0.4), _square, 2, until=0.0)
+    assert optimised.out_of_time
+    assert optimised.steps == 1
+    # The last step needs no time limit.
+    assert not minimise(Iterates(1.0, 0.5), _square, 1, until=0.0).out_of_time
+
+
+def test_the_loop_ends_where_no_loss_is_left():
+    optimised = minimise(Iterates(1.0, 0.0, 0.4), _square, 2)
+    assert optimised.losses == [_square(START)[0], 0.0]
+    assert optimised.best_step == 1
 
 
 def test_an_interrupt_before_the_first_loss_is_raised():
@@ -100,10 +117,11 @@ def test_an_interrupt_before_the_first_loss_is_raised():
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        descend(Iterates(1.0), interrupt, 3)
-    descent = descend(Iterates(1.0, 0.5, 0.4), _square, 3, interrupt)
-    assert descent.interrupted
-    assert (descent.best_step, len(descent.losses)) == (1, 2)
+        minimise(Iterates(1.0), interrupt, 3)
+    optimised = minimise(Iterates(1.0, 0.5, 0.4), _square, 3, interrupt)
+    assert optimised.interrupted
+    assert optimised.best_step == 1
+    assert len(optimised.losses) == 2
 
 
 def test_an_interrupt_in_machine_code_is_an_interrupt():
@@ -115,9 +133,9 @@ def test_an_interrupt_in_machine_code_is_an_interrupt():
     ctrl_c, other = SystemError("returned a result with an exception set"), SystemError("another")
     ctrl_c.__cause__ = SystemError("the same")
     ctrl_c.__cause__.__cause__ = KeyboardInterrupt()
-    assert descend(Iterates(1.0, 0.5), partial(objective, error=ctrl_c), 3).interrupted
+    assert minimise(Iterates(1.0, 0.5), partial(objective, error=ctrl_c), 3).interrupted
     with pytest.raises(SystemError, match="another"):
-        descend(Iterates(1.0, 0.5), partial(objective, error=other), 3)
+        minimise(Iterates(1.0, 0.5), partial(objective, error=other), 3)
 
 
 def test_a_sum_of_terms_adds_values_and_gradients():
@@ -148,7 +166,7 @@ def test_the_loss_of_a_view_without_visible_points_is_infinite(form):
 
 
 def test_the_paper_preset_is_adam_on_equation_7():
-    """Eq. 7 by all pairs and in float64: cross-entropy of the silhouette and 1e6 times the Chamfer distance to the start."""
+    """Eq. 7 by all pairs, in float64: the silhouette's cross-entropy and 1e6 Chamfer distances."""
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (90, 3))
     # The settings are stated for a centred cloud with longest side 1.
     points = (points - (points.min(0) + points.max(0)) / 2.0) / np.ptp(points, axis=0).max()
@@ -168,8 +186,9 @@ def test_the_paper_preset_is_adam_on_equation_7():
             optimiser.step()
     result = refine(points, mask, camera, RefineConfig(preset="paper", steps=25))
     # Where sums are under 1e-8 only the nearest point attracts: half a thousandth of the loss here.
-    np.testing.assert_allclose(result.losses, losses, rtol=2e-3)
-    assert (result.steps, result.best_step) == (25, int(np.argmin(losses))) == (25, 25)
+    np.testing.assert_allclose(result.fit.losses, losses, rtol=2e-3)
+    assert result.fit.steps == 25
+    assert result.fit.best_step == int(np.argmin(losses)) == 25
     # Adam normalises vanishing gradients to whole steps: single points differ, their mean does not.
     error, displacement = result.points - moved.detach().numpy(), moved.detach().numpy() - points
     assert np.square(error).mean() < 1e-3 * np.square(displacement).mean()

@@ -1,4 +1,4 @@
-"""The preset "best": the mean over its stages, the position prior, and what the views say nothing about."""
+"""The default preset: the mean over its stages, the position prior, and unobserved parts."""
 
 from dataclasses import replace
 
@@ -6,19 +6,18 @@ import numpy as np
 import pytest
 
 from tests.losses.common import assert_gradient
-from tests.scenes import block, seen
+from tests.scenes import block, problem_of, seen
 from tso_cli import Camera, RefineConfig, View, refine
-from tso_cli.cloud.cloud import Cloud
 from tso_cli.cloud.smooth_field import SmoothField
 from tso_cli.optimisation.objective import MaskChamferObjective, ViewTargets
-from tso_cli.optimisation.presets import BEST
+from tso_cli.optimisation.presets import BEST, BEST_POINTS
 from tso_cli.optimisation.prior import PositionPrior, position_prior
-from tso_cli.optimisation.problem import Problem
+from tso_cli.optimisation.stages import CoarseToFine
 from tso_cli.render import look_at
 
 
 def test_points_outside_every_image_hardly_move():
-    """A long bar extends beyond the left border of an image in which it lies higher."""
+    """A long bar ends outside the left border of an image that shows the bar higher."""
     axes = np.linspace(-2.0, 0.4, 120), np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 4)
     bar = np.stack(np.meshgrid(*axes), -1).reshape(-1, 3)
     camera = look_at(0.0, 0.0, 2.2, (64, 64))
@@ -30,9 +29,8 @@ def test_points_outside_every_image_hardly_move():
     assert np.abs(moved[~observed]).mean() < 0.15 * moved[observed].mean()
 
 
-def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_weight_of_the_last(
-    chair,
-):
+def test_the_result_is_the_weighted_mean_of_the_stages(chair):
+    """The weight of the last stage grows with the square of the number of masks."""
     points, views = (
         chair.points,
         [chair.view, seen(chair.points * [1.0, 1.1, 1.0], look_at(90.0, 10.0, 2.0, (64, 64)))],
@@ -50,28 +48,28 @@ def test_the_result_is_the_weighted_mean_of_the_stages_and_more_masks_raise_the_
 
     alone = [refined(*np.eye(3)[stage].clip(1e-12)).points for stage in range(3)]
     result = refined(1.0, 2.0, 3.0)
-    weights = np.array([1.0, 2.0, 3.0 * sum(result.view_weights) ** 2])
-    assert sum(result.view_weights) > 1.9
+    masks = sum(view.loss_weight for view in result.views)
+    assert masks > 1.9
+    weights = np.array([1.0, 2.0, 3.0 * masks**2])
     expected = np.einsum("s,snk->nk", weights / weights.sum(), alone)
     np.testing.assert_allclose(result.points, expected, atol=1e-6)
     assert np.abs(alone[0] - alone[2]).max() > 1e-3
 
 
-def test_as_evidence_a_flipped_mask_counts_a_quarter_and_a_depth_map_as_a_mask(chair):
-    def evidence(views, symmetry="none", weights=(1.0, 1.0)):
-        problem = Problem.of(
-            Cloud(chair.points, "points"), tuple(views), RefineConfig(symmetry=symmetry).settings()
-        )
-        return problem.evidence(list(weights[: len(views)]))
+def test_as_an_observation_a_flipped_mask_counts_a_quarter_and_a_depth_map_as_a_mask(chair):
+    def observations(views, symmetry="none", weights=(1.0, 1.0)):
+        problem = problem_of(chair.points, *views, symmetry=symmetry)
+        return problem.observations(weights[: len(views)])
 
     plain = View(chair.mask, chair.camera)
     deep = replace(plain, depth=np.where(chair.mask > 0.5, chair.camera.t[2], 0.0))
-    assert evidence([plain]) == 1.0
-    assert evidence([plain, plain]) == 2.0
-    assert evidence([plain], "x") == 1.25
-    assert evidence([deep]) == 2.0
-    assert evidence([plain, deep], "x") == 3.5
-    assert evidence([plain, deep], "x", (0.5, 0.1)) == pytest.approx(0.5 * 1.25 + 0.1 * 2.25)
+    assert observations([plain]) == 1.0
+    assert observations([plain, plain]) == 2.0
+    assert observations([plain], "x") == 1.25
+    assert observations([deep]) == 2.0
+    assert observations([plain, deep], "x") == 3.5
+    weighted = observations([plain, deep], "x", (0.5, 0.1))
+    assert weighted == pytest.approx(0.5 * 1.25 + 0.1 * 2.25)
 
 
 def _truncated(view: View) -> View:
@@ -84,23 +82,23 @@ def _truncated(view: View) -> View:
     )
 
 
-@pytest.mark.parametrize(
-    ("truncated", "expected"), [((True, True), 1.0), ((True, False), 2.0), ((False, False), 2.0)]
-)
-def test_views_that_all_truncate_the_object_are_no_more_evidence_than_one(
-    chair, monkeypatch, truncated, expected
-):
-    evidence, views = [], [chair.view, seen(chair.points, look_at(90.0, 10.0, 3.0, (64, 64)))]
-
-    def spied(*arguments):
-        evidence.append(arguments[-1])
-        return position_prior(*arguments)
-
-    monkeypatch.setattr("tso_cli.optimisation.stages.position_prior", spied)
+@pytest.mark.parametrize("truncated", [(True, True), (True, False), (False, False)])
+def test_views_that_all_truncate_the_object_are_no_more_observations_than_one(chair, truncated):
+    views = [chair.view, seen(chair.points, look_at(90.0, 10.0, 3.0, (64, 64)))]
     views = [_truncated(view) if cut else view for view, cut in zip(views, truncated, strict=True)]
-    refine(chair.points, views, config=RefineConfig(steps=3, symmetry="none"))
-    assert evidence
-    assert evidence == [pytest.approx(expected, rel=0.05)] * len(evidence)
+    problem = problem_of(chair.points, *views)
+    field = SmoothField(problem.cloud.start)
+
+    def optimised(observations):
+        # Observations lower the least prior weight, and raise the weight of the last stage.
+        weights, config = [1.0, 1.0], replace(BEST, least_prior_weight=1e4)
+        rate = BEST_POINTS.learning_rate
+        run = CoarseToFine(problem, weights, field, config, rate, observations=observations)
+        return run.run(12)[0]
+
+    one, two = optimised(1.0), optimised(2.0)
+    assert np.array_equal(one.stages, two.stages) == all(truncated)
+    assert np.array_equal(one.best, two.best) == all(truncated)
 
 
 def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
@@ -112,13 +110,11 @@ def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
 
 
 def _prior(
-    points: np.ndarray, view: View, evidence: float = 1.0, **settings: object
+    points: np.ndarray, view: View, observations: float = 1.0, **settings: object
 ) -> tuple[PositionPrior, ViewTargets]:
-    problem = Problem.of(Cloud(points, "points"), (view,), RefineConfig(symmetry="none").settings())
-    initial, targets = problem.cloud.normalised(), ViewTargets.of(problem.resampled, [1.0])
-    return position_prior(
-        initial, targets, SmoothField(initial), replace(BEST, **settings), evidence
-    ), targets
+    problem = problem_of(points, view)
+    start, targets, config = problem.cloud.start, problem.targets([1.0]), replace(BEST, **settings)
+    return position_prior(start, targets, SmoothField(start), config, observations), targets
 
 
 def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
@@ -131,17 +127,17 @@ def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
     assert prior(prior.initial)[0] == 0.0
 
 
-def test_a_worse_start_is_held_less_and_more_evidence_lowers_the_least_weight(chair):
+def test_a_worse_start_is_held_less_and_more_observations_lower_the_least_weight(chair):
     points = chair.points
-    # As if the cloud had 1,024 points, e being the mean loss per mask pixel at the robust scale 4.
+    # Stated for 1,024 points. e is the mean loss per mask pixel at the robust scale 4.
     prior, targets = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0)
     e = MaskChamferObjective(targets, 4.0)(prior.initial)[0] / targets.pixels
     np.testing.assert_allclose(prior.weights, 300.0 / e * 1024.0 / len(points))
     half = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0, prior_decay=0.5)[0]
     np.testing.assert_allclose(half.weights, 300.0 / np.sqrt(e) * 1024.0 / len(points))
-    for evidence in (1.0, 2.0):
-        least = _prior(points, chair.view, evidence, local_prior=False, least_prior_weight=1e6)[0]
-        np.testing.assert_allclose(least.weights, 1e6 / evidence**2 * 1024.0 / len(points))
+    for count in (1.0, 2.0):
+        least = _prior(points, chair.view, count, local_prior=False, least_prior_weight=1e6)[0]
+        np.testing.assert_allclose(least.weights, 1e6 / count**2 * 1024.0 / len(points))
     # Even a perfect start is held no more than where e = 0.1.
     square = np.stack(np.meshgrid(np.arange(26, 38, 0.5), np.arange(26, 38, 0.5)), -1).reshape(
         -1, 2
@@ -152,7 +148,7 @@ def test_a_worse_start_is_held_less_and_more_evidence_lowers_the_least_weight(ch
 
 
 def test_a_part_that_fits_badly_is_held_less_than_the_rest():
-    """A sheet whose right third lies beside the mask."""
+    """A sheet whose right third lies outside the mask."""
     x, y = np.meshgrid(np.linspace(-0.3, 0.3, 24), np.linspace(-0.2, 0.2, 16))
     sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
     view = View(block(np.s_[19:45, 13:38]), Camera.canonical(64, 64))
@@ -162,12 +158,13 @@ def test_a_part_that_fits_badly_is_held_less_than_the_rest():
 
 
 def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():
-    """A post of two cells, with an aerial much thinner than one on top."""
+    """A post of two cells, with an aerial on top, much thinner than a cell."""
     post = np.random.default_rng(0).uniform([-0.1, -0.3, -0.1], [0.1, 0.1, 0.1], (400, 3))
     aerial = np.stack([np.zeros(60), np.linspace(0.12, 0.5, 60), np.zeros(60)], 1)
     points = np.concatenate([post, aerial])
-    _, targets = _prior(points, View(block(np.s_[4:60, 20:44]), Camera.canonical(64, 64)))
-    initial = Cloud(points, "points").normalised()
-    (resolved,) = targets.resolvability(initial, SmoothField(initial))
+    view = View(block(np.s_[4:60, 20:44]), Camera.canonical(64, 64))
+    problem = problem_of(points, view)
+    start = problem.cloud.start
+    (resolved,) = problem.targets([1.0]).resolvability(start, SmoothField(start))
     assert resolved[:400].mean() > 0.9
     assert resolved[-50:].max() < 0.1

@@ -1,6 +1,6 @@
-"""Mirror planes: search, symmetry check and flipped views."""
+"""Mirror planes: the search, the symmetry check by the views, and flipped views."""
 
-from functools import partial
+import time
 
 import numpy as np
 import pytest
@@ -9,30 +9,34 @@ from hypothesis import strategies as st
 
 from tests.corruption import assert_refused
 from tests.losses.common import COMPILED, FORMS, in_form
-from tests.scenes import EXAMPLES, example, seen
+from tests.scenes import EXAMPLES, example, problem_of, seen
 from tso_cli import RefineConfig, View, refine
+from tso_cli.cloud.smooth_field import SmoothField
+from tso_cli.diagnosis.verification import verify_plane
+from tso_cli.geometry.mirror_plane import MirrorPlane
 from tso_cli.geometry.points import sample_surface
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.io.meshes import read_mesh
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.optimisation.symmetry import MirrorPlane, find_mirror_plane
+from tso_cli.optimisation.symmetry import find_mirror_plane, fitted_plane
 from tso_cli.render import look_at
 
 
 @pytest.mark.parametrize("name", ["chair", "car"])
 def test_the_plane_of_a_rotated_symmetric_object_is_found(name):
     points = example(name).points
-    plane = find_mirror_plane(points)
-    assert plane.symmetric
+    found = find_mirror_plane(points)
+    assert found.symmetric
     turn = from_vectors(np.array([1.0, -2.0, 0.5]))
     turned = find_mirror_plane(points @ turn.T + 5.0)
     assert turned.symmetric
-    assert abs(turned.normal @ (turn @ plane.normal)) > np.cos(np.radians(1.0))
+    cosine = turned.plane.normal @ (turn @ found.plane.normal)
+    assert abs(cosine) > np.cos(np.radians(1.0))
 
 
 def test_a_chair_with_one_arm_has_no_plane(chair):
     points = chair.points
-    side = (points - points.mean(0)) @ find_mirror_plane(points).normal
+    side = (points - points.mean(0)) @ find_mirror_plane(points).plane.normal
     upper = points[:, 1] > np.quantile(points[:, 1], 0.6)
     assert not find_mirror_plane(points[~(upper & (side > 0.0))]).symmetric
 
@@ -50,22 +54,23 @@ def test_the_plane_does_not_depend_on_how_the_last_bits_are_rounded(name):
     noise = [
         np.random.default_rng(seed).normal(scale=1e-13, size=points.shape) for seed in range(3)
     ]
-    first, *others = (find_mirror_plane(points + bits).reflect(points) for bits in noise)
-    others.append(in_form(COMPILED, find_mirror_plane, points).reflect(points))
+    first, *others = (find_mirror_plane(points + bits).plane.reflect(points) for bits in noise)
+    others.append(in_form(COMPILED, find_mirror_plane, points).plane.reflect(points))
     for other in others:
         np.testing.assert_allclose(other, first, atol=1e-6)
 
 
 def test_the_planes_of_many_shapes_do_not_depend_on_it_either():
-    """Of two points that are each other's mirror image rounding decides which is farther; one alone would turn the plane."""
+    """Rounding decides which of two mirrored points is farther. One alone would turn the plane."""
     for number, path in enumerate(sorted((EXAMPLES / "meshes").glob("*/*.ply"))):
         mesh, rng = read_mesh(path), np.random.default_rng(number)
         for _ in range(3):
             points = sample_surface(mesh.vertices, mesh.faces, 600, rng)
-            other = find_mirror_plane(points + rng.normal(scale=1e-13, size=points.shape))
-            np.testing.assert_allclose(
-                other.reflect(points), find_mirror_plane(points).reflect(points), atol=1e-6
+            rounded = points + rng.normal(scale=1e-13, size=points.shape)
+            image, other = (
+                find_mirror_plane(cloud).plane.reflect(points) for cloud in (points, rounded)
             )
+            np.testing.assert_allclose(other, image, atol=1e-6)
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -93,34 +98,63 @@ def _boxes(*sides: float) -> np.ndarray:
     return np.concatenate([slab, *(post + [side, 0.0, 0.0] for side in sides)])
 
 
-def test_the_symmetry_check_passes_for_a_symmetric_object():
-    result = refine(
-        _boxes(-0.42, 0.42),
-        _seen(_boxes(-0.42, 0.42) * [1.1, 1.1, 1.0]),
-        config=RefineConfig(steps=12),
-    )
-    assert result.symmetry is not None
-    assert result.symmetry_outcome == "used"
-    assert "at most 1.1" in result.symmetry_reason
+def _verified(start: np.ndarray, views: list[View], until: float = np.inf):
+    """The problem of a cloud with a mirror plane, after the views were asked."""
+    problem = problem_of(start, *views, symmetry="auto")
+    assert problem.symmetry.outcome == "used"
+    assert len(problem.flipped) == len(views)
+    return verify_plane(problem, [1.0] * len(views), SmoothField(problem.cloud.start), until)
+
+
+def test_the_views_keep_the_mirror_plane_of_a_symmetric_object():
+    start = _boxes(-0.42, 0.42)
+    problem = _verified(start, _seen(start * [1.1, 1.1, 1.0]))
+    assert problem.symmetry.outcome == "used"
+    assert problem.symmetry.coefficients is not None
+    assert problem.symmetry.check.loss_ratio <= problem.symmetry.check.limit == 1.1
+    assert "at most 1.1" in problem.symmetry.reason
+    assert len(problem.flipped) == 2
 
 
 @FORMS
-@pytest.mark.parametrize("views", [1, 2])
-def test_the_symmetry_check_fails_for_an_object_that_lost_one_side(form, views):
+@pytest.mark.parametrize(("views", "limit"), [(1, 1.15), (2, 1.1)])
+def test_the_views_contradict_the_plane_of_an_object_that_lost_one_side(form, views, limit):
     start, views = _boxes(-0.42, 0.42), _seen(_boxes(-0.42))[:views]
-    configs = RefineConfig(steps=12), RefineConfig(steps=12, symmetry="none")
-    result, without = (
-        in_form(form, partial(refine, start, views, config=config)) for config in configs
+    problem = in_form(form, _verified, start, views)
+    assert problem.symmetry.outcome == "contradicted"
+    assert problem.symmetry.coefficients is None
+    assert problem.symmetry.check.loss_ratio > problem.symmetry.check.limit == limit
+    assert f"over {limit}" in problem.symmetry.reason
+    assert problem.flipped == ()
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1e-3])
+def test_without_time_to_ask_the_views_no_plane_is_used(seconds):
+    start = _boxes(-0.42, 0.42)
+    problem = _verified(start, _seen(start), time.perf_counter() + seconds)
+    assert problem.symmetry.outcome == "unchecked"
+    assert problem.symmetry.candidate.symmetric
+    assert problem.symmetry.coefficients is None
+    assert problem.flipped == ()
+
+
+def test_a_refinement_asks_the_views_before_it_uses_a_plane():
+    start = _boxes(-0.42, 0.42)
+    views = _seen(_boxes(-0.42))[:1]
+    asked, without = (
+        refine(start, views, config=RefineConfig(steps=12, symmetry=symmetry))
+        for symmetry in ("auto", "none")
     )
-    assert (result.symmetry, result.symmetry_outcome) == (None, "contradicted")
-    assert "over 1.1" in result.symmetry_reason
-    np.testing.assert_array_equal(result.points, without.points)
+    assert asked.symmetry.outcome == "contradicted"
+    np.testing.assert_array_equal(asked.points, without.points)
 
 
 def test_an_asymmetric_cloud_has_no_plane():
     start = np.random.default_rng(0).uniform(-0.5, 0.5, (400, 3)) ** 2 * [1.0, 0.7, 0.4]
-    result = refine(start, _seen(start), config=RefineConfig(steps=0))
-    assert (result.symmetry, result.symmetry_outcome) == (None, "none_found")
+    problem = problem_of(start, *_seen(start), symmetry="auto")
+    assert problem.symmetry.outcome == "none_found"
+    assert problem.symmetry.coefficients is None
+    assert problem.flipped == ()
 
 
 @settings(max_examples=25, deadline=None)
@@ -138,7 +172,7 @@ def test_two_reflections_are_the_identity_and_midpoints_lie_on_the_plane(seed, o
 
 def test_a_flipped_view_shows_the_mirror_image_of_the_cloud(chair):
     plane = MirrorPlane(np.array([0.6, 0.0, 0.8]), 0.05)
-    view = plane.view(View(silhouette_of(chair.points, chair.camera), chair.camera))
+    view = plane.flipped(View(silhouette_of(chair.points, chair.camera), chair.camera))
     mirrored = plane.reflect(chair.points)
     np.testing.assert_allclose(silhouette_of(mirrored, view.camera), view.mask, atol=1e-4)
     np.testing.assert_allclose(
@@ -146,12 +180,16 @@ def test_a_flipped_view_shows_the_mirror_image_of_the_cloud(chair):
     )
 
 
-def test_a_given_plane_is_used_and_reported(chair):
+@pytest.mark.parametrize(
+    ("symmetry", "outcome"), [("none", "not_asked"), ("x", "given"), ("2,0,0,0.1", "given")]
+)
+def test_a_given_plane_is_used_and_reported(chair, symmetry, outcome):
     middle = (chair.points[:, 0].min() + chair.points[:, 0].max()) / 2.0
-    for symmetry, plane in ("none", None), ("x", (1, 0, 0, middle)), ("2,0,0,0.1", (1, 0, 0, 0.05)):
-        result = refine(*chair[:3], RefineConfig(steps=0, symmetry=symmetry))
-        assert result.symmetry == (plane and pytest.approx(plane))
-        assert result.symmetry_outcome == ("given" if plane else "not_asked")
+    planes = {"x": (1.0, 0.0, 0.0, middle), "2,0,0,0.1": (1.0, 0.0, 0.0, 0.05)}
+    result = refine(*chair[:3], RefineConfig(steps=0, symmetry=symmetry))
+    assert result.symmetry.outcome == outcome
+    expected = planes.get(symmetry)
+    assert result.symmetry.coefficients == (expected and pytest.approx(expected))
 
 
 @pytest.mark.parametrize("bad", ["w", "1,0,0", "0,0,0,1", "1,a,0,0", "nan,0,0,0"])
@@ -160,7 +198,7 @@ def test_malformed_planes_are_refused(bad):
 
 
 @pytest.mark.parametrize("plane", ["0,0,1,9", "0,1,0,-0.9"])
-def test_a_plane_beside_the_cloud_is_refused(chair, plane):
+def test_a_plane_that_misses_the_cloud_is_refused(chair, plane):
     message = f"symmetry is '{plane}', expected a plane .* through the cloud"
     assert_refused(message, refine, *chair[:3], RefineConfig(symmetry=plane))
 
@@ -168,16 +206,19 @@ def test_a_plane_beside_the_cloud_is_refused(chair, plane):
 def test_given_and_searched_planes_have_the_same_misfit():
     points = example("airplane").points
     found = find_mirror_plane(points)
-    given, aside = (
-        MirrorPlane(found.normal, found.offset + by).judged(points) for by in (0.0, 0.2)
+    given, shifted = (
+        fitted_plane(MirrorPlane(found.plane.normal, found.plane.offset + by), points)
+        for by in (0.0, 0.2)
     )
-    assert (given.misfit, given.far) == pytest.approx((found.misfit, found.far))
-    assert aside.misfit > 2.0 * found.misfit
+    assert given.mean == pytest.approx(found.mean)
+    assert given.tail == pytest.approx(found.tail)
+    assert shifted.mean > 2.0 * found.mean
 
 
-def test_the_misfit_of_coinciding_points_is_zero_or_infinite():
+@pytest.mark.parametrize(("offset", "misfit"), [(0.0, 0.0), (0.1, np.inf)])
+def test_the_misfit_of_coinciding_points_is_zero_or_infinite(offset, misfit):
     half = np.random.default_rng(0).uniform(0.1, 0.5, (50, 3))
     cloud = np.concatenate([half, half * [-1.0, 1.0, 1.0]] * 2)
-    for offset, misfit in ((0.0, 0.0), (0.1, np.inf)):
-        judged = MirrorPlane(np.array([1.0, 0.0, 0.0]), offset).judged(cloud)
-        assert (judged.misfit, judged.far) == (misfit, misfit)
+    fitted = fitted_plane(MirrorPlane(np.array([1.0, 0.0, 0.0]), offset), cloud)
+    assert fitted.mean == misfit
+    assert fitted.tail == misfit

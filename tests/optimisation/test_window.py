@@ -1,16 +1,15 @@
-"""The window: lengths belong to the object, whatever photo it is in."""
+"""The window: lengths are measured in it, so that the size of the photo does not matter."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.scenes import block, example, in_photo
+from tests.scenes import block, example, in_photo, problem_of
 from tso_cli import Camera, RefineConfig, View, refine
-from tso_cli.cloud.cloud import Cloud
+from tso_cli.diagnosis.findings import Finding
 from tso_cli.geometry.view import object_box
 from tso_cli.geometry.window import window_of
-from tso_cli.optimisation.problem import Problem
 from tso_cli.optimisation.resampled_view import resample_view
 from tso_cli.refinement import PRESETS
 
@@ -40,8 +39,10 @@ def test_the_window_is_a_square_around_mask_and_cloud():
 
 def test_a_few_outliers_do_not_widen_the_window(chair):
     photo = in_photo(chair.view, 8, 896, 537)
-    stray = np.vstack([chair.points, chair.points.mean(0) + [1.5, 0.0, 0.0]])
-    np.testing.assert_allclose(window_of(photo, stray), window_of(photo, chair.points), atol=4.0)
+    with_outlier = np.vstack([chair.points, chair.points.mean(0) + [1.5, 0.0, 0.0]])
+    np.testing.assert_allclose(
+        window_of(photo, with_outlier), window_of(photo, chair.points), atol=4.0
+    )
 
 
 def test_the_window_ends_at_the_border_that_truncates_the_object():
@@ -61,7 +62,7 @@ def test_an_image_that_the_object_fills_is_its_own_window():
 
 
 def test_only_the_borders_of_the_image_truncate_an_object():
-    # One pixel beside the border is less than half a cell.
+    # At a shift of 1 the object ends one pixel from the border, less than half a cell.
     mask = block(np.s_[60:199, 0:40], (200, 200))
     for shift, expected in ((0, True), (1, False), (20, False), (159, False), (160, True)):
         view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
@@ -76,22 +77,23 @@ def far_off(chair):
 
 def test_the_window_follows_a_cloud_that_starts_far_from_its_mask(far_off, chair):
     start, photo = far_off
-    item = Problem.of(Cloud(start, "points"), (photo,), RefineConfig(symmetry="none").settings())
-    first, last = (
-        each.resampled[0].box for each in (item, item.with_windows_around(chair.target, False))
-    )
+    problem = problem_of(start, photo)
+    followed = problem.with_windows_around(chair.target, False)
+    (first,), (last,) = ([view.box for view in each.resampled] for each in (problem, followed))
+    # Nothing is resampled again where the window stays.
+    assert followed.with_windows_around(chair.target, False) is followed
     assert first[2] - first[0] > 1.1 * (last[2] - last[0])
     np.testing.assert_allclose(last, window_of(photo, chair.target))
 
 
 @pytest.mark.slow
-def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask_bears(
+def test_a_refinement_ends_in_the_window_of_its_result_on_the_finest_grid_of_its_mask(
     far_off, chair
 ):
     start, photo = far_off
     result = refine(start, photo, config=RefineConfig(symmetry="none", accept_doubtful=True))
-    ((box, cells),) = result.view_windows
-    assert cells == 128
+    box = result.views[0].window
+    assert result.views[0].cells == 128
     first, last = (
         np.subtract(*window_of(photo, points)[2::-2]) for points in (start, result.points)
     )
@@ -102,22 +104,24 @@ def test_a_refinement_ends_in_the_window_of_its_result_on_the_grid_that_its_mask
         refine(chair.target, small, config=RefineConfig(steps=3, preset=preset))
         for preset in PRESETS
     ]
-    assert [result.view_windows[0][1] for result in results] == [96, 64]
+    assert [result.views[0].cells for result in results] == [96, 64]
 
 
-def test_stray_foreground_far_from_the_object_is_left_out_with_a_warning():
+def test_foreground_far_from_the_object_is_left_out_and_reported():
     car = example("car")
     photo = in_photo(car.view, 4, 384, 230)
     mask = photo.mask.copy()
     mask[-40:-38, 30:32] = 1.0
-    strayed = View(mask, photo.camera)
-    assert (strayed.box(), strayed.specks, photo.specks) == (photo.box(), 4, 0)
+    with_specks = View(mask, photo.camera)
+    assert with_specks.box() == photo.box()
+    assert with_specks.specks == 4
+    assert photo.specks == 0
     result, expected = (
-        refine(car.points[::4], view, config=RefineConfig(steps=2)) for view in (strayed, photo)
+        refine(car.points[::4], view, config=RefineConfig(steps=2)) for view in (with_specks, photo)
     )
     np.testing.assert_array_equal(result.points, expected.points)
-    assert result.iou_after == expected.iou_after
-    assert result.warnings == ("mask: foreground far from the object is left out (4 px)",)
+    assert result.fit.iou_after == expected.fit.iou_after
+    assert result.findings == (Finding("specks", (0,), values={"pixels": 4}),)
 
 
 def test_parts_of_an_object_are_no_specks():

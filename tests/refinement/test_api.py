@@ -7,11 +7,13 @@ import pytest
 import torch
 
 from tests.corruption import assert_refused
-from tests.scenes import block
-from tso_cli import Camera, RefineConfig, TsoError, View, refine
+from tests.scenes import block, problem_of
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
-from tso_cli.optimisation import resampled_view
-from tso_cli.optimisation.objective import SilhouetteObjective
+from tso_cli.diagnosis.findings import Finding
+from tso_cli.diagnosis.hypotheses import HYPOTHESES, Assumption
+from tso_cli.optimisation.optimise import optimise, weigh
+from tso_cli.optimisation.resampled_view import resample_view
 from tso_cli.refinement import PRESETS
 
 PAPER = RefineConfig(preset="paper")
@@ -20,10 +22,15 @@ PAPER = RefineConfig(preset="paper")
 def test_the_papers_settings_bring_the_chair_nearer_to_the_true_shape(chair):
     result = refine(*chair[:3], PAPER)
     assert chair.error(result.points) < 0.97 * chair.error(chair.points)
-    assert result.iou_after > result.iou_before + 0.01
-    assert result.loss_after < result.loss_before
-    assert (result.steps, result.stop_reason, result.mode) == (50, "max_steps", "points")
-    assert (result.learning_rate, result.gamma, result.sigma_sq) == (5e-4, 1e6, 0.4)
+    assert result.fit.iou_after > result.fit.iou_before + 0.01
+    assert result.fit.loss_after < result.fit.loss_before
+    assert result.fit.steps == 50
+    assert result.fit.stop_reason == "max_steps"
+    settings = result.settings
+    assert settings.mode == "points"
+    assert settings.learning_rate == 5e-4
+    assert settings.gamma == 1e6
+    assert settings.sigma_sq == 0.4
 
 
 def test_tensors_lists_and_views_give_the_result_of_arrays(chair):
@@ -37,7 +44,8 @@ def test_tensors_lists_and_views_give_the_result_of_arrays(chair):
         refine(np.asfortranarray(points), mask, camera, config),
     ):
         np.testing.assert_array_equal(variant.points, expected)
-    assert Cloud(np.asfortranarray(points), "points").normalised().flags.c_contiguous
+    cloud = Cloud(np.asfortranarray(points), "points").controlled()
+    assert cloud.start.flags.c_contiguous
 
 
 def test_zero_steps_return_the_start_bit_for_bit(chair):
@@ -46,8 +54,8 @@ def test_zero_steps_return_the_start_bit_for_bit(chair):
         points + 4_000_000.1, mask, _shifted(camera, 4_000_000.1), RefineConfig(steps=0)
     )
     np.testing.assert_array_equal(result.points, points + 4_000_000.1)
-    assert result.loss_before == result.loss_after
-    assert result.chamfer_to_initial == 0.0
+    assert result.fit.loss_before == result.fit.loss_after
+    assert result.fit.chamfer_to_initial == 0.0
 
 
 def _shifted(camera: Camera, by: float) -> Camera:
@@ -61,7 +69,8 @@ def test_a_scan_with_coordinates_near_four_million_is_refined_as_at_the_origin(c
     config = RefineConfig(preset=preset)
     expected = refine(points, mask, camera, config)
     far = refine(points + 4e6, mask, _shifted(camera, 4e6), config)
-    # At four million, coordinates hold nine digits after the point: of two points equally near, the other may be the nearer.
+    # There, coordinates have nine digits after the point, and of two points about equally near
+    # the other may be the nearest.
     np.testing.assert_allclose(
         far.points - 4e6, expected.points, atol=1e-4 if preset == "paper" else 0.02
     )
@@ -73,7 +82,7 @@ def test_another_unit_changes_nothing(chair):
     in_millimetres = replace(camera, t=1000.0 * camera.t)
     expected, scaled = refine(points, mask, camera), refine(points * 1000.0, mask, in_millimetres)
     np.testing.assert_allclose(scaled.points / 1000.0, expected.points, atol=1e-4)
-    assert scaled.chamfer_to_initial == pytest.approx(expected.chamfer_to_initial, rel=1e-3)
+    assert scaled.fit.chamfer_to_initial == pytest.approx(expected.fit.chamfer_to_initial, rel=1e-3)
 
 
 def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
@@ -83,46 +92,32 @@ def test_enlarging_mask_and_intrinsics_by_two_changes_nothing(chair):
     expected = refine(points, mask, camera, config)
     result = refine(points, finer, camera.resized(2 * camera.width, 2 * camera.height), config)
     np.testing.assert_allclose(result.points, expected.points, atol=1e-4)
-    assert result.sigma_sq == expected.sigma_sq
-    assert result.loss_after == pytest.approx(expected.loss_after, rel=1e-4)
+    assert result.settings.sigma_sq == expected.settings.sigma_sq
+    assert result.fit.loss_after == pytest.approx(expected.fit.loss_after, rel=1e-4)
 
 
-def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair, monkeypatch):
-    coarse = refine(*chair[:3], PAPER)
-
-    def fine(view, sigma_sq, centre, scale, box):
-        return resampled_view.resample_view(view, 0.4 * 4**2, centre, scale, box, 256)
-
-    monkeypatch.setattr("tso_cli.optimisation.problem.resample_view", fine)
-    full = refine(*chair[:3], PAPER)
-    assert not np.array_equal(coarse.points, full.points)
-    assert chair.error(coarse.points) < 1.01 * chair.error(full.points)
-    # The resampled view has the loss of all pixels but for the averaged rim of the mask.
-    assert coarse.loss_before == pytest.approx(full.loss_before, rel=0.05)
+def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair):
+    settings = PAPER.settings()
+    problem = problem_of(chair.points, chair.view)
+    (windowed,), cloud = problem.given, problem.cloud
+    box, sigma_sq = windowed.resampled.box, 4**2 * settings.sigma_sq
+    finer = resample_view(windowed.view, sigma_sq, cloud.centre, cloud.scale, box, 256)
+    fine = replace(problem, given=(replace(windowed, resampled=finer),))
+    coarse, full = (
+        optimise(weigh(each, settings), settings, settings.steps)[0] for each in (problem, fine)
+    )
+    assert not np.array_equal(coarse.best, full.best)
+    errors = [chair.error(cloud.denormalise(each.best)) for each in (coarse, full)]
+    assert errors[0] < 1.01 * errors[1]
+    # The resampled view has the loss of all pixels, except for the averaged rim of the mask.
+    assert coarse.first_loss == pytest.approx(full.first_loss, rel=0.05)
 
 
 def test_a_large_gamma_keeps_the_cloud_near_its_start(chair):
     strong, weak = (
         refine(*chair[:3], RefineConfig(gamma=gamma, preset="paper")) for gamma in (1e8, 0.0)
     )
-    assert strong.chamfer_to_initial < 0.2 * weak.chamfer_to_initial
-
-
-def test_a_loss_that_stops_being_a_number_keeps_the_best_before_it(chair, monkeypatch):
-    calls, true_call = iter(range(1000)), SilhouetteObjective.__call__
-
-    def failing(self, moved):
-        value, gradient = true_call(self, moved)
-        return value * (np.nan if next(calls) >= 3 else 1.0), gradient
-
-    monkeypatch.setattr(SilhouetteObjective, "__call__", failing)
-    result = refine(*chair[:3], PAPER)
-    assert (result.stop_reason, result.steps, result.best_step) == ("non_finite", 2, 2)
-    assert np.isfinite(result.points).all()
-    calls = iter(range(2, 1000))
-    for message in ("after the first step", "loss of the start"):
-        with pytest.raises(TsoError, match=message):
-            refine(*chair[:3], PAPER)
+    assert strong.fit.chamfer_to_initial < 0.2 * weak.fit.chamfer_to_initial
 
 
 def test_points_on_ignored_pixels_hardly_move(chair):
@@ -133,7 +128,7 @@ def test_points_on_ignored_pixels_hardly_move(chair):
     )
     columns = camera.project(points)[0][:, 0]
     moved = np.linalg.norm(result.points - points, axis=1)
-    # Points in the ignored half, whose Gaussians are next to nothing where pixels are known: Adam enlarges what is left.
+    # Adam enlarges what is left of their Gaussians on known pixels.
     assert moved[columns > 148.0].max() < 1e-5
     assert moved[columns < 128.0].max() > 1e-3
 
@@ -144,18 +139,17 @@ def test_losses_of_views_add_up_and_best_counts_a_repeated_view_once(chair, pres
     config = RefineConfig(steps=0, preset=preset, symmetry="none")
     one = refine(points, mask, camera, config)
     two = refine(points, [mask, mask], [camera, camera], config)
-    assert two.loss_before == pytest.approx(
-        {"paper": 2, "best": 1}[preset] * one.loss_before, rel=1e-6
-    )
-    assert two.view_weights == {"paper": [1.0, 1.0], "best": [0.5, 0.5]}[preset]
-    assert two.iou_before == pytest.approx(one.iou_before)
+    factor, weight = {"paper": (2, 1.0), "best": (1, 0.5)}[preset]
+    assert two.fit.loss_before == pytest.approx(factor * one.fit.loss_before, rel=1e-6)
+    assert [view.loss_weight for view in two.views] == [weight, weight]
+    assert two.fit.iou_before == pytest.approx(one.fit.iou_before)
 
 
 def test_orthographic_views_are_refined(chair):
     K = np.array([[180.0, 0.0, 127.5], [0.0, 180.0, 127.5], [0.0, 0.0, 1.0]])
     camera = replace(Camera.canonical(256, 256), K=K, model="orthographic")
     result = refine(chair.points, chair.mask, camera, RefineConfig(steps=6, symmetry="none"))
-    assert result.loss_after < result.loss_before
+    assert result.fit.loss_after < result.fit.loss_before
 
 
 def test_unusable_points_masks_and_cameras_are_refused(chair):
@@ -169,11 +163,11 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
         (dict(masks=mask * 0.0), "no pixel is foreground"),
         (
             dict(masks=mask * 0.0 + 1.0),
-            "every pixel is foreground, expected some background \\(try --invert-mask",
+            "every pixel is foreground, expected some background \\(`invert_mask`",
         ),
         (dict(masks=mask[:-1]), "expected the same"),
         (dict(masks=[mask, mask]), "one camera for each mask"),
-        (dict(masks=None), "masks are no arrays"),
+        (dict(masks=None), "masks are not arrays of numbers"),
         (dict(masks=[mask[None]]), "a mask has shape"),
         (dict(config=RefineConfig("encoder")), "needs a network"),
     ):
@@ -211,9 +205,25 @@ def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():
 def test_an_ignore_map_that_leaves_no_known_cell_is_refused(chair):
     every_fourth = np.arange(256)[:, None] % 4 + np.arange(256) % 4 == 0
     view = replace(chair.view, known=every_fourth, name="front")
-    assert_refused(
-        "front: no pixel is known to be foreground when it is worked on at 64x64",
-        refine,
-        chair.points,
-        view,
+    words = "front: no cell of its window of 64x64 is known to be foreground"
+    assert_refused(words, refine, chair.points, view)
+
+
+@pytest.mark.parametrize("view", ["", "@mask.png"])
+def test_under_an_assumption_the_result_is_of_the_input_as_it_is_meant(chair, view):
+    flipped = replace(chair.view, mask=chair.mask[:, ::-1])
+    config = RefineConfig(steps=3, symmetry="none")
+    result = refine(chair.points, flipped, config=config, assume=[f"mask-flipped{view}"])
+    as_object = refine(
+        chair.points, flipped, config=config, assume=[Assumption(HYPOTHESES["mask-flipped"])]
     )
+    expected = refine(chair.points, chair.view, config=config)
+    np.testing.assert_array_equal(result.points, expected.points)
+    np.testing.assert_array_equal(as_object.points, expected.points)
+    assert result.fit == expected.fit
+
+
+def test_what_is_known_of_the_input_is_a_finding_of_the_result(chair):
+    known = Finding("assumed-picture", (0,))
+    result = refine(*chair[:3], RefineConfig(steps=0), known=[known])
+    assert result.findings == (known,)

@@ -1,4 +1,4 @@
-"""Batches of clouds: the results of each alone in any number of processes, errors, progress and interrupts."""
+"""Batches of clouds: each has the result that it has alone. Errors, progress and interrupts."""
 
 import multiprocessing
 import os
@@ -24,23 +24,20 @@ from tso_cli import (
 )
 from tso_cli.optimisation.objective import SilhouetteObjective
 from tso_cli.refinement import PRESETS
+from tso_cli.refinement.batch import Batch
+from tso_cli.refinement.workers import processes_for, spread, stop_flag
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 3))
 VIEW = View(block(np.s_[21:32, 25:41]), Camera.canonical(64, 64))
 
 
-def _same(result: RefineResult, alone: RefineResult) -> bool:
-    measures = (
-        "losses",
-        "best_step",
-        "view_ious",
-        "view_weights",
-        "symmetry",
-        "chamfer_to_initial",
-        "stop_reason",
-    )
-    same = all(getattr(result, name) == getattr(alone, name) for name in measures)
-    return same and np.array_equal(result.points, alone.points)
+def _assert_same(result: RefineResult, alone: RefineResult) -> None:
+    np.testing.assert_array_equal(result.points, alone.points)
+    assert result.fit == alone.fit
+    assert result.symmetry.coefficients == alone.symmetry.coefficients
+    assert result.trust == alone.trust
+    for view, other in zip(result.views, alone.views, strict=True):
+        assert vars(replace(view, camera=None)) == vars(replace(other, camera=None))
 
 
 @FORMS
@@ -64,15 +61,17 @@ def test_in_any_number_of_processes_results_have_the_bits_of_each_alone(
     )
     for processes in ("1", "2", "3"):
         monkeypatch.setenv("OMP_NUM_THREADS", processes)
-        assert all(map(_same, in_form(form, refine_batch, scenes, config), expected))
+        results = in_form(form, refine_batch, scenes, config)
+        for result, alone in zip(results, expected, strict=True):
+            _assert_same(result, alone)
 
 
 def test_one_failing_cloud_of_a_batch_leaves_the_others_unaffected():
     behind = replace(VIEW, camera=replace(VIEW.camera, t=VIEW.camera.t - [0.0, 0.0, 9.0]))
     scenes = [(POINTS, VIEW), (POINTS, behind), (POINTS * np.nan, VIEW), (POINTS, VIEW)]
     good, invisible, not_finite, other = refine_batch(scenes, RefineConfig(steps=3))
-    assert _same(good, other)
-    assert good.steps == 3
+    _assert_same(good, other)
+    assert good.fit.steps == 3
     assert isinstance(invisible, InputError)
     assert "behind the camera" in str(invisible)
     assert "points of scene 2" in str(not_finite)
@@ -80,7 +79,7 @@ def test_one_failing_cloud_of_a_batch_leaves_the_others_unaffected():
 
 def test_a_scene_that_is_no_pair_is_an_error_of_its_own():
     good, *bad = refine_batch([(POINTS, VIEW), (POINTS,), None, POINTS, {}], RefineConfig(steps=1))
-    assert good.steps == 1
+    assert good.fit.steps == 1
     shown = "tuple of 1", "None", "ndarray of 40", "dict of 0"
     for number, (error, scene) in enumerate(zip(bad, shown, strict=True), 1):
         assert isinstance(error, InputError)
@@ -103,10 +102,10 @@ def test_progress_counts_clouds_and_reports_the_mean_loss_of_results(monkeypatch
     assert [report[:2] for report in reported] == [(1, 3), (2, 3), (3, 3)]
     assert np.isnan(reported[0][2])
     assert [report[2] for report in reported[1:]] == [
-        first.loss_after,
-        (first.loss_after + second.loss_after) / 2.0,
+        first.fit.loss_after,
+        (first.fit.loss_after + second.fit.loss_after) / 2.0,
     ]
-    assert {"prepare", "optimise", "judge"} <= set(first.seconds)
+    assert {"prepare", "optimise", "judge"} <= set(first.cost.seconds)
 
 
 @pytest.mark.parametrize("processes", ["1", "2"])
@@ -138,23 +137,44 @@ def test_after_an_interrupt_clouds_have_their_best_iterate_or_their_start(monkey
     results = refine_batch(
         [(POINTS, VIEW)] * 4 + [(POINTS * np.nan, VIEW)], config, progress=interrupt
     )
-    assert [getattr(result, "stop_reason", "error") for result in results] == [
-        "max_steps",
-        *["interrupted"] * 3,
-        "error",
-    ]
-    assert results[1].steps < 300
-    assert results[2].steps == results[3].steps == 0
-    for waiting in results[2:4]:
-        np.testing.assert_array_equal(waiting.points, POINTS)
-        assert waiting.iou_after == refine(POINTS, VIEW, config=RefineConfig(steps=0)).iou_before
-        assert waiting.warnings[0].startswith(
-            "nothing moved: interrupted at step 0, before one lowered the loss"
-        )
+    first, second, *waiting, error = results
+    assert first.fit.stop_reason == "max_steps"
+    assert second.fit.stop_reason == "interrupted"
+    assert second.fit.steps < 300
+    assert isinstance(error, InputError)
+    unmoved = refine(POINTS, VIEW, config=RefineConfig(steps=0))
+    for result in waiting:
+        assert result.fit.stop_reason == "interrupted"
+        assert result.fit.steps == 0
+        assert result.fit.iou_after == unmoved.fit.iou_before
+        np.testing.assert_array_equal(result.points, POINTS)
+
+
+class _InterruptedOnce:
+    """Points that Ctrl-C interrupts when they are read for the first time."""
+
+    def __init__(self):
+        self.read = 0
+
+    def __array__(self, dtype=None, copy=None):
+        self.read += 1
+        if self.read == 1:
+            raise KeyboardInterrupt
+        return np.array(POINTS, dtype)
+
+
+def test_an_interrupt_while_a_cloud_is_read_leaves_it_and_later_clouds_as_they_were():
+    flag = stop_flag(1)
+    batch = Batch([(_InterruptedOnce(), VIEW), (POINTS, VIEW)], RefineConfig(steps=3), flag)
+    for number in (0, 1):
+        result = batch.refine(number)
+        assert result.fit.stop_reason == "interrupted"
+        np.testing.assert_array_equal(result.points, POINTS)
+    assert flag.is_set()
 
 
 def test_a_cloud_at_work_has_its_best_iterate_after_an_interrupt(monkeypatch):
-    """The first cloud is refined before processes begin, the third is done while the second is at its third step."""
+    """Ctrl-C comes when the third cloud is done, and the second is at its third step."""
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     events = multiprocessing.get_context("fork")
     started, interrupted, true_call, calls = (
@@ -183,35 +203,49 @@ def test_a_cloud_at_work_has_its_best_iterate_after_an_interrupt(monkeypatch):
     config = RefineConfig(steps=30, preset="paper")
     scenes = [(POINTS, VIEW), (POINTS[:20], VIEW), (POINTS[:30], VIEW)]
     first, at_work, done = refine_batch(scenes, config, progress=interrupt)
-    assert [result.stop_reason for result in (first, at_work, done)] == [
+    assert [result.fit.stop_reason for result in (first, at_work, done)] == [
         "max_steps",
         "interrupted",
         "max_steps",
     ]
-    assert 0 < at_work.best_step <= at_work.steps < 30
-    assert at_work.loss_after < at_work.loss_before
-    assert at_work.warnings == (
-        f"interrupted at step {at_work.steps} of 30: the result is the best so far",
-    )
+    assert 0 < at_work.fit.best_step <= at_work.fit.steps < 30
+    assert at_work.fit.loss_after < at_work.fit.loss_before
 
 
-def test_a_killed_process_ends_the_batch_with_one_line(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+def test_a_killed_process_is_one_error_of_one_line():
     here = os.getpid()
 
-    def killed(self, points):
+    def killed(number):
         if os.getpid() != here:
             os.kill(os.getpid(), signal.SIGKILL)
-        return true_call(self, points)
+        return number
 
-    true_call = SilhouetteObjective.__call__
-    monkeypatch.setattr(SilhouetteObjective, "__call__", killed)
     with pytest.raises(TsoError, match="a process of the batch was killed, expected enough memory"):
-        refine_batch([(POINTS, VIEW)] * 4, RefineConfig(steps=2, preset="paper"))
+        spread(killed, 4, 2, stop_flag(2), lambda result: None)
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_work_spread_over_processes_is_returned_in_order(processes):
+    done = []
+    results = spread(lambda number: number**2, 5, processes, stop_flag(processes), done.append)
+    assert results == [0, 1, 4, 9, 16]
+    assert sorted(done) == results
+
+
+@pytest.mark.parametrize(
+    ("threads", "count", "processes"), [("4", 9, 4), ("4", 3, 2), ("1", 9, 1), ("4", 1, 1)]
+)
+def test_a_batch_has_as_many_processes_as_threads_are_allowed(
+    monkeypatch, threads, count, processes
+):
+    """The first cloud is refined before processes begin."""
+    monkeypatch.setenv("OMP_NUM_THREADS", threads)
+    assert processes_for(count) == processes
 
 
 def test_a_batch_inside_a_process_that_may_have_no_children_is_refined_there():
     scenes, config = [(POINTS, VIEW)] * 3, RefineConfig(steps=2)
     with multiprocessing.get_context("fork").Pool(1) as pool:
         results = pool.apply(refine_batch, (scenes, config))
-    assert all(map(_same, results, refine_batch(scenes, config)))
+    for result, alone in zip(results, refine_batch(scenes, config), strict=True):
+        _assert_same(result, alone)

@@ -1,4 +1,4 @@
-"""Refinements by depth maps and by photos, beside the mask."""
+"""Refinements by depth maps and by photos, in addition to the mask."""
 
 from dataclasses import replace
 
@@ -9,16 +9,14 @@ from tests.corruption import assert_refused
 from tests.painted import CAMERA, MASK, SIZE, photo, sheet
 from tests.scenes import block
 from tso_cli import Camera, RefineConfig, View, refine
-from tso_cli.cloud.cloud import Cloud
 from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.mirror_plane import MirrorPlane
 from tso_cli.optimisation.objective import MaskChamferObjective, ViewTargets
-from tso_cli.optimisation.problem import Problem
 from tso_cli.optimisation.resampled_view import resample_view
-from tso_cli.refinement.run import _photos
 
 CONFIG = RefineConfig(steps=45, symmetry="none")
 ACROSS = (np.arange(SIZE) - 31.5) / 120.0
-# A sheet tilted about the vertical axis, whose mask hardly tells.
+# A sheet tilted about the vertical axis, which its mask hardly shows.
 TILTED = View(MASK, CAMERA, depth=np.where(MASK > 0.5, 2.0 / (1.0 + 0.4 * ACROSS), np.nan))
 
 
@@ -104,17 +102,13 @@ def test_colours_without_an_image_change_nothing_and_uint8_stands_for_fractions(
     assert np.abs(np.subtract(*results)).max() < 1e-6
 
 
-def test_a_flipped_view_has_a_flipped_depth_map_and_no_flipped_photo():
-    """Letters are not mirrored: with a mirror plane the photo counts once, for the points that it shows."""
-    points, colours = sheet(3.0)
+def test_a_flipped_view_has_a_flipped_depth_map_and_no_photo():
+    """Letters are not symmetric where the shape is."""
     depth = np.where(MASK > 0.5, 2.0 + 0.1 * ACROSS, np.nan)
-    cloud, settings = Cloud(points, "points", colours), RefineConfig(symmetry="x").settings()
-    problem = Problem.of(cloud, (View(MASK, CAMERA, image=photo(), depth=depth),), settings)
-    own, flipped = problem.all_views
-    assert own.image is not None
+    view = View(MASK, CAMERA, image=photo(), depth=depth)
+    flipped = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0).flipped(view)
     assert flipped.image is None
-    np.testing.assert_array_equal(flipped.depth, own.depth[:, ::-1])
-    assert [photo.weight for photo in _photos(problem, [0.7])] == [0.7]
+    np.testing.assert_array_equal(flipped.depth, view.depth[:, ::-1])
 
 
 @pytest.mark.parametrize(
@@ -165,6 +159,6 @@ def test_what_a_refinement_cannot_use_is_refused():
             None,
             "colours span 0 to 300, expected 0 to 1",
         ),
-        (view, "red", None, "colours are no array of numbers"),
+        (view, "red", None, "colours are not an array of numbers"),
     ):
         assert_refused(words, refine, points, scene, config=config, colours=colour)

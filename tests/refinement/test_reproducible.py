@@ -9,10 +9,15 @@ import numpy as np
 from tests.scenes import example
 from tso_cli import refine
 
-REFINED = "import sys; from tests.scenes import example; from tso_cli import refine\n"
-REFINED += "scene = example('car'); sys.stdout.buffer.write(refine(scene.points, scene.view).points.tobytes())"
+REFINED = """
+import sys
+from tests.scenes import example
+from tso_cli import refine
+scene = example("car")
+sys.stdout.buffer.write(refine(scene.points, scene.view).points.tobytes())
+"""
 OLD = {"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": "AVX2 FMA3 AVX512F AVX512_SKX"}
-"""What a processor of 2004 would compute: other sums in matrix products, no wide registers."""
+"""A processor of 2004, with other sums in matrix products and without wide registers."""
 
 
 def test_other_processors_round_differently_and_give_the_same_cloud():

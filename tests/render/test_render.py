@@ -157,7 +157,7 @@ def test_nearer_parts_hide_those_behind():
     assert (front[0, 0] == 255).all()
 
 
-def test_an_object_out_of_sight_gives_an_empty_mask_on_white_and_one_around_the_camera_a_full_mask():
+def test_an_object_out_of_sight_has_an_empty_mask_and_one_around_the_camera_a_full_mask():
     camera, scene = render.look_at(0.0, 0.0, 2.0, (20, 20), 10.0), RayScene(box())
     view = render_view(scene, replace(camera, t=np.array([50.0, 0.0, 2.0])))
     assert not view.mask.any()

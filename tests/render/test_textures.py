@@ -80,7 +80,7 @@ def parts(folder, materials, faces):
 
 
 def texels(pixels, uv):
-    """The colour at texture coordinates ``uv`` [..., 2], v up, and whether they are well inside their texel."""
+    """The colour at texture coordinates ``uv`` [..., 2], v up, and if uv is well inside a texel."""
     height, width = pixels.shape[:2]
     across, down = (uv[..., 0] % 1) * width, ((1 - uv[..., 1]) % 1) * height
     inner = (np.abs(across % 1 - 0.5) < 0.4) & (np.abs(down % 1 - 0.5) < 0.4)
@@ -207,7 +207,7 @@ def test_a_normalised_or_warped_mesh_keeps_its_texture_and_a_painted_one_does_no
 
 def warned(path):
     """The mesh, and the one-line warning that reading it gives."""
-    with pytest.warns(UserWarning, match="the material's colour stands in") as caught:
+    with pytest.warns(UserWarning, match="the material's colour is used") as caught:
         mesh = read_mesh(path)
     (message,) = [str(warning.message) for warning in caught]
     assert "\n" not in message

@@ -26,14 +26,15 @@ def test_a_warped_mesh_has_another_shape_the_same_faces_and_similar_size(seed):
     np.testing.assert_array_equal(warped.faces, mesh.faces)
     before = np.ptp(mesh.vertices, axis=0)
     size = np.ptp(warped.vertices, axis=0) / before
-    # One axis stretched and another one shrunk, sine and taper of 0.15 each; sweep and lean shift by less than 0.2 each.
+    # One axis is stretched and another shrunk, sine and taper are 0.15 each; sweep and lean shift
+    # by less than 0.2 each.
     assert size.min() > np.exp(-0.6) * 0.85**2
     assert (size < np.exp(0.6) * 1.15**2 + 0.4 / before).all()
     assert np.abs(warped.vertices - mesh.vertices).max() > 0.01
 
 
 def test_a_symmetric_shape_keeps_a_mirror_plane_when_warped():
-    """Shear and sweep go along one and the same axis, so that one of the two upright mirror planes remains."""
+    """Shear and sweep go along the same axis: one of the two upright mirror planes remains."""
     rng = np.random.default_rng(0)
     half = rng.uniform(-0.5, 0.5, (200, 3))
     cloud = np.concatenate([half * [sx, 1, sz] for sx in (1, -1) for sz in (1, -1)])
@@ -99,7 +100,7 @@ def test_copies_are_rendered_beside_the_meshes_of_a_split(tso_render, tmp_path):
     [
         (["kfurn_chair", "no_chair"], "train", "has no mesh no_chair"),
         (["kfurn_chair"], "practice", "'practice' is not one of 'train', 'validation', 'test'"),
-        (["kfurn_chair"], "test", "split.json: has no list 'test', expected one beside 'train'"),
+        (["kfurn_chair"], "test", "split.json: has no list 'test' (lists: 'train'), expected one"),
     ],
 )
 def test_a_split_that_cannot_be_rendered_is_refused(tso_render, tmp_path, names, part, message):

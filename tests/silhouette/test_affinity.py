@@ -50,7 +50,7 @@ def test_the_printed_affinity_of_a_batch_is_that_of_each_image():
 
 
 def test_over_all_nonzero_pixels_the_printed_loss_of_an_uncovered_mask_would_nearly_vanish():
-    """The rim of a Gaussian is not zero, and the least product is there: hence values over 0.5 alone."""
+    """The rim of a Gaussian is not 0 and holds the least product, so only values over 0.5 count."""
     mask = torch.tensor(block(np.s_[20, 30], (40, 40))).double()
     point = torch.tensor([[[8.0, 20.0]]], dtype=torch.float64)
     silhouette = torch.tanh(splat(point, torch.ones(1, 1, dtype=torch.bool), 40, 40, SIGMA_SQ))[0]
@@ -60,14 +60,14 @@ def test_over_all_nonzero_pixels_the_printed_loss_of_an_uncovered_mask_would_nea
     assert products.min() < 1e-3
 
 
-def test_a_stray_point_is_attracted_by_the_mask_and_a_covered_mask_costs_nothing():
+def test_a_point_outside_the_mask_is_attracted_by_the_mask_and_a_covered_mask_costs_nothing():
     mask = disc(32, 6.0)
     covering = np.argwhere(mask.numpy())[:, ::-1].astype(float)
     value, gradient = by_autograd(lambda p: _affinity(p, mask, "points"), covering)
     assert value == 0.0
     assert not gradient.any()
-    stray = np.concatenate([covering, [[3.0, 16.0]]])
-    _, gradient = by_autograd(lambda p: _affinity(p, mask, "points"), stray)
+    with_one = np.concatenate([covering, [[3.0, 16.0]]])
+    _, gradient = by_autograd(lambda p: _affinity(p, mask, "points"), with_one)
     assert gradient[-1, 0] < 0.0
     assert not gradient[:-1].any()
 

@@ -1,4 +1,4 @@
-"""What the tests of training share: data in memory and on disk, and `tso train` run in this process."""
+"""What the tests of training share: data in memory and on disk, and `tso train` in this process."""
 
 import numpy as np
 import pytest
@@ -37,6 +37,6 @@ def folder(tmp_path):
 
 @pytest.fixture
 def tso_train(thin, tmp_path, tso):
-    """`tso train` on a data set for two short steps; of an option that is given twice the last one counts."""
+    """`tso train` on a data set for two short steps; of an option given twice the last counts."""
     common = ("-o", tmp_path / "base.safetensors", "--steps", 2, "--batch-size", 2, "--points", 32)
     return lambda data, *options: tso("train", data, *common, *options)

@@ -1,4 +1,4 @@
-"""Batches: frames and cameras, random draws, augmentation, backgrounds, and what stands in for unusable data."""
+"""Batches: frames and cameras, random draws, augmentation, backgrounds, replaced unusable data."""
 
 from collections import Counter
 from dataclasses import replace
@@ -203,7 +203,7 @@ def test_ten_unusable_pictures_are_warned_of_and_all_are_listed():
     data = TrainingData(objects, "boxes")
     with pytest.warns(UserWarning, match="left out") as warned:
         assert_refused(
-            "no picture can be used, the first: box1 view 1.png",
+            "no picture can be used; the first: box1 view 1.png",
             assemble,
             data,
             [Draw(1, 1)],
@@ -236,13 +236,13 @@ def test_the_object_is_composited_on_its_background():
     assert_refused(message, TrainingData, make_objects(1), "box", backgrounds=textures)
 
 
-def test_backgrounds_are_crops_of_photos_and_an_unreadable_one_is_warned_of_once_and_replaced_by_the_next(
+def test_backgrounds_are_crops_of_photos_and_an_unreadable_one_is_replaced_with_one_warning(
     tmp_path,
 ):
     (tmp_path / "empty").mkdir()
     for name, message in (
         ("empty", "holds no picture"),
-        ("none", "not a folder, expected one with photos .*, or 'textures'"),
+        ("none", "not a folder, expected a folder of photos .*, or 'textures'"),
     ):
         assert_refused(message, Backgrounds, str(tmp_path / name))
     write_image(tmp_path / "red.png", np.full((40, 90, 3), (255, 0, 0), np.uint8))
@@ -262,7 +262,7 @@ def test_backgrounds_are_crops_of_photos_and_an_unreadable_one_is_warned_of_once
     )
     with pytest.warns(UserWarning, match="broken.png"):
         assert_refused(
-            "no photo can be used, the first: .*broken.png", Backgrounds(str(tmp_path)).sample, draw
+            "no photo can be used; the first: .*broken.png", Backgrounds(str(tmp_path)).sample, draw
         )
 
 
@@ -301,4 +301,4 @@ def test_the_shipped_meshes_and_examples_are_training_data():
     assert one.fingerprint() == same.fingerprint()
     unseen = shipped_examples()
     assert [item.name for item in unseen.objects] == ["chair", "car", "airplane"]
-    assert unseen.judged(3) == [0, 1, 2]
+    assert unseen.evaluable(3) == [0, 1, 2]

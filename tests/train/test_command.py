@@ -23,11 +23,9 @@ def test_trains_on_a_folder_and_reports_it(tso_train, folder, tmp_path):
     document = tso_train(
         folder, *MASKS, "--steps", 4, "--log-file", tmp_path / "log.jsonl", "--json"
     ).document
-    assert (document["steps"], document["stop_reason"], document["supervision"]) == (
-        4,
-        "max_steps",
-        "masks",
-    )
+    assert document["steps"] == 4
+    assert document["stop_reason"] == "max_steps"
+    assert document["supervision"] == "masks"
     assert document["chamfer_training"]["chamfer"] > 0
     assert load_network(tmp_path / "base.safetensors")[1].settings["lambda"] == 1.0
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
@@ -62,21 +60,17 @@ def test_objects_without_a_3d_file_train_masks_only_and_are_not_evaluated(tso_tr
     write_r2n2(tmp_path / "ShapeNetRendering", ("abc", "def"))
     write_clouds(tmp_path, "abc")
     document = tso_train(tmp_path, *MASKS, "--json").document
-    assert (document["objects"], document["chamfer_training"]["shapes"], document["left_out"]) == (
-        2,
-        1,
-        {},
-    )
+    assert document["objects"] == 2
+    assert document["chamfer_training"]["shapes"] == 1
+    assert document["left_out"] == {}
     assert document["not_judged"][f"{CHAIR}/def"].endswith(
         "does not exist, expected the shape of this object"
     )
     points = tso_train(tmp_path, "--overwrite", "--json")
     document = points.document
-    assert (document["objects"], document["not_judged"], list(document["left_out"])) == (
-        1,
-        {},
-        [f"{CHAIR}/def"],
-    )
+    assert document["objects"] == 1
+    assert document["not_judged"] == {}
+    assert list(document["left_out"]) == [f"{CHAIR}/def"]
     for said in (points.err, tso_train(tmp_path, "--overwrite", "--strict").refusal):
         assert "pcl_1024_fps_trimesh.npy: does not exist" in said
 
@@ -88,7 +82,8 @@ def test_a_damaged_3d_file_does_not_stop_training_by_masks(tso_train, tmp_path):
     damaged.write_bytes(b"no array")
     done = tso_train(tmp_path, *MASKS, "--strict", "--json")
     # No other object is evaluated in its place.
-    assert (done.document["chamfer_training"]["shapes"], done.document["left_out"]) == (2, {})
+    assert done.document["chamfer_training"]["shapes"] == 2
+    assert done.document["left_out"] == {}
     assert str(damaged) in done.document["not_judged"][f"{CHAIR}/def"]
     assert "left out" not in done.err
 
@@ -120,7 +115,7 @@ def test_a_split_may_name_absent_objects_of_categories_that_are_not_trained_on(t
         assert message in tso_train(*common, "--category", category, "--overwrite").refusal
     split.write_text(json.dumps({"test": ["box/box0"]}))
     assert (
-        "split.json: has no list 'train', expected one beside 'test'"
+        "split.json: has no list 'train' (lists: 'test'), expected one"
         in tso_train(*common, "--overwrite").err
     )
 

@@ -63,5 +63,5 @@ def test_two_processes_take_the_steps_of_one(tso_train, folder, tmp_path):
     assert len(log.read_text().splitlines()) == 4
     after = load_file(two)
     for name, tensor in load_file(tmp_path / "base.safetensors").items():
-        # Adam's first steps go by the sign of the gradient: where that is nearly zero, rounding decides.
+        # Adam's first steps follow the sign of the gradient, which rounding decides near 0.
         assert ((tensor - after[name]).abs() < 2e-5).float().mean() > 0.99, name

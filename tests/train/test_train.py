@@ -1,4 +1,4 @@
-"""Training: what is learned, how it stops and resumes, and that it depends on seed and data alone."""
+"""Training: what is learned, how it stops and resumes; it depends on seed and data alone."""
 
 import json
 from dataclasses import replace
@@ -164,9 +164,9 @@ def test_data_that_lack_what_the_supervision_needs_are_refused(
 
 @pytest.mark.parametrize(
     "change",
-    [{"steps": 0}, {"views": 0}, {"batch_size": -1}, {"learning_rate": 0.0}, {"learning_rate": float("nan")},
-     {"sigma_sq": -0.4}, {"affinity_weight": -1.0}, {"averaging": 1.0}, {"workers": 0}, {"category_sigma_sq": {"car": 0.0}},
-     {"joint_weight": 0.0}],
+    [{"steps": 0}, {"views": 0}, {"batch_size": -1}, {"workers": 0}, {"sigma_sq": -0.4},
+     {"learning_rate": 0.0}, {"learning_rate": float("nan")}, {"affinity_weight": -1.0},
+     {"averaging": 1.0}, {"category_sigma_sq": {"car": 0.0}}, {"joint_weight": 0.0}],
 )  # fmt: skip
 def test_impossible_settings_are_refused(change):
     assert_refused("expected", config, **change)
@@ -216,12 +216,10 @@ def test_checkpoints_are_saved_every_few_steps_and_can_be_read(thin, data, tmp_p
         network, read = load_network(path)
         assert_equal(weights(network), weights(state.network))
         steps.append(read.steps)
-        assert (read.frame, read.supervision, read.points, read.training_set) == (
-            "view",
-            "points",
-            64,
-            "three boxes",
-        )
+        assert read.frame == "view"
+        assert read.supervision == "points"
+        assert read.points == 64
+        assert read.training_set == "three boxes"
 
     train(data, config(steps=5), save=save, save_every=2)
     assert steps == [2, 4, 5]
@@ -265,7 +263,7 @@ def test_a_resume_with_other_settings_or_other_data_or_without_a_state_is_refuse
     ):
         assert_refused(message, resume, path, data, config(**{**same, **change}))
     assert_refused(
-        "2 steps are done already",
+        "steps is .*, expected more: 2 steps are done already",
         train,
         data,
         config(steps=2, **same),

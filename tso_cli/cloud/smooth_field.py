@@ -1,32 +1,34 @@
-"""Smooth displacement fields: the preconditioner of Nicolet et al. 2021, on the neighbour graph of a cloud."""
+"""Smooth displacement fields: the preconditioner of Nicolet et al. 2021, on a cloud's graph."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..geometry.arrays import Array, Bits, Indices
 from ..kernels.dispatch import use_compiled
-from ..losses.nearest import nearest_few, spread_subset
-from ..optimisation.presets import FIELD_NODES
+from ..losses.nearest import fast_spread_subset, nearest_few
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-# Neighbours in the graph; nodes of a patch; nodes that a point is interpolated from.
+# Most nodes of a field, and most control points of a cloud unless more are asked for. The table of
+# stages states lambda for so many nodes.
+CONTROL_POINTS = 1024
+# Neighbours of a node in the graph.
 NEIGHBOURS = 8
+# Nodes in the neighbourhood of a node, itself included.
 PATCH = 12
+# Nodes that a point is interpolated from.
 INTERPOLATED_FROM = 6
-# Nodes of a block of the smoother's matrix, at least.
+# Least number of nodes in a block of the smoother's matrix.
 BLOCK = 64
 
 
 class SmoothField:
-    """Displacement fields of a cloud as ``(I + lambda L)^-1 u``, L the graph Laplacian of its nodes.
+    """Displacement fields of a cloud, ``(I + lambda L)^-1 u``; L is the graph Laplacian.
 
-    "Large Steps in Inverse Rendering of Geometry" (Nicolet, Jacobson, Jakob, 2021) descends in u on a mesh: gradient steps
-    then move connected parts together, larger parts for larger lambda. Here the graph joins the 8 nearest neighbours of
-    ``nodes`` points of the cloud, by farthest-point sampling, and its points take the weighted mean of their six nearest
-    nodes, so that the cost of the solve is bounded. Every point of a smaller cloud is a node.
+    "Large Steps in Inverse Rendering of Geometry" (Nicolet, Jacobson, Jakob, 2021) optimises u on
+    a mesh. Gradient steps in u move connected parts together, larger parts for a larger lambda.
+    Here the graph joins the 8 nearest neighbours of ``nodes`` points of the cloud, chosen by
+    farthest-point sampling. A point takes the weighted mean of its six nearest nodes, which bounds
+    the cost of the solve. In a cloud of fewer points every point is a node.
 
     Attributes
     ----------
@@ -35,14 +37,15 @@ class SmoothField:
     """
 
     def __init__(
-        self, points: Array, nodes: int = FIELD_NODES, finer: SmoothField | None = None
+        self, points: Array, nodes: int = CONTROL_POINTS, finer: SmoothField | None = None
     ) -> None:
         self._points = points
         self._coarser: dict[int, SmoothField] = {}
-        # The first of a spread subset are the smaller one, but where the finer field has every point, in their own order.
+        # The first nodes of a finer field are the smaller subset, unless the finer field has all
+        # points, which are in their own order.
         known = finer is not None and len(finer.nodes) < len(points)
         self.nodes: Indices = (
-            finer.nodes[:nodes] if finer and known else spread_subset(points, nodes)
+            finer.nodes[:nodes] if finer and known else fast_spread_subset(points, nodes)
         )
         positions = points[self.nodes]
         self.patches = _patches(positions)
@@ -56,7 +59,7 @@ class SmoothField:
             self._weight = falling_weights(distance)
 
     def with_nodes(self, nodes: int) -> SmoothField:
-        """The field of the same points with so many nodes, at most as many as of this one."""
+        """The field of the same points with ``nodes`` nodes, or this one if it has fewer."""
         if nodes >= len(self.nodes):
             return self
         if nodes not in self._coarser:
@@ -64,11 +67,11 @@ class SmoothField:
         return self._coarser[nodes]
 
     def smoothed(self, values: Array, weight: float) -> Array:
-        """``(I + weight L)^-1 values``, [M, C]; a symmetric matrix, its own transpose."""
+        """``(I + weight L)^-1 values``, [M, C]. The matrix is symmetric, so its own transpose."""
         if weight not in self._smoothers:
-            # Lambda is stated for so many nodes: with fewer the edges are longer.
+            # Lambda is stated for CONTROL_POINTS nodes: between fewer nodes edges are longer.
             self._smoothers[weight] = _Smoother(
-                self._adjacent, weight * len(self.nodes) / FIELD_NODES
+                self._adjacent, weight * len(self.nodes) / CONTROL_POINTS
             )
         return self._smoothers[weight](values)
 
@@ -86,7 +89,7 @@ class SmoothField:
         return spread
 
     def gather(self, values: Array) -> Array:
-        """[M, C], the transpose of `spread`: what gradients by the points are by the nodes."""
+        """[M, C], the transpose of `spread`: gradients by the points become gradients by nodes."""
         if len(self._index[0]) == 1:
             return values
         if use_compiled():
@@ -107,7 +110,11 @@ class SmoothField:
         return values[self._index[:, 0]]
 
     def averaged(self, values: Array, weight: float) -> Array:
-        """[N] ``values`` averaged around each point: ``(I + weight L)^-1`` of the nodes' sums over that of their counts."""
+        """[N], ``values`` [N] averaged around each point.
+
+        The mean at a node is ``(I + weight L)^-1`` of the nodes' sums, divided by the same of the
+        nodes' counts. A point takes the mean at its nearest node.
+        """
         owner = self._index[:, 0]
         sums = np.stack(
             [
@@ -121,10 +128,10 @@ class SmoothField:
 
 
 def _patches(nodes: Array) -> Indices:
-    """[M, 12] indices of the nearest nodes of each, itself first; where there are fewer, itself again."""
+    """[M, 12], for each node itself and its nearest nodes; itself again if there are fewer."""
     itself = np.arange(len(nodes))[:, None]
     near = nearest_few(nodes, nodes, min(PATCH, len(nodes)))
-    # Of coinciding nodes another may come first, or all others.
+    # Where nodes coincide, another node may come first, and itself may be missing.
     place = np.where((near == itself).any(1), (near == itself).argmax(1), near.shape[1] - 1)[
         :, None
     ]
@@ -133,22 +140,23 @@ def _patches(nodes: Array) -> Indices:
     return np.concatenate([near, np.repeat(itself, PATCH - near.shape[1], 1)], 1)
 
 
-def _adjacent(patches: Indices) -> NDArray[np.bool_]:
-    """[M, M] whether either of two nodes is among the 8 nearest of the other; each is of itself."""
+def _adjacent(patches: Indices) -> Bits:
+    """[M, M], whether one of two nodes is among the 8 nearest of the other, or both are one."""
     near = np.zeros((len(patches), len(patches)), bool)
     np.put_along_axis(near, patches[:, : NEIGHBOURS + 1], True, 1)
-    adjacent: NDArray[np.bool_] = near | near.T
+    adjacent: Bits = near | near.T
     return adjacent
 
 
 class _Smoother:
     """``(I + weight L)^-1`` of a graph's Laplacian L.
 
-    Nodes equally many edges away from a first one are adjacent to those one edge nearer or farther alone. In this order the
-    matrix is block tridiagonal, and blocks are eliminated one by one: ten times as fast as the inverse.
+    A layer is all nodes that are equally many edges away from a first node. A layer is adjacent
+    only to the layers before and after it. In the order of layers the matrix is block tridiagonal,
+    and blocks are eliminated one by one. That is ten times as fast as the inverse.
     """
 
-    def __init__(self, adjacent: NDArray[np.bool_], weight: float) -> None:
+    def __init__(self, adjacent: Bits, weight: float) -> None:
         blocks = _layers(adjacent)
         diagonal = 1.0 + weight * (np.count_nonzero(adjacent, axis=1) - 1)
         self._order = np.concatenate(blocks)
@@ -185,8 +193,8 @@ class _Smoother:
         return smoothed
 
 
-def _layers(adjacent: NDArray[np.bool_]) -> list[Indices]:
-    """All nodes in blocks of about `BLOCK`, of which only successive ones are adjacent."""
+def _layers(adjacent: Bits) -> list[Indices]:
+    """All nodes in blocks of about `BLOCK`. Only successive blocks are adjacent."""
     left = np.ones(len(adjacent), bool)
     blocks: list[Indices] = []
     block: list[Indices] = []
@@ -204,9 +212,12 @@ def _layers(adjacent: NDArray[np.bool_]) -> list[Indices]:
 
 
 def falling_weights(distance: Array) -> Array:
-    """Weights [n, k] of the k nearest nodes by their sorted ``distance`` [n, k]: they sum to 1 and fall to 0 at the last."""
+    """Weights [n, k] of the k nearest nodes by their sorted ``distance`` [n, k].
+
+    They sum to 1, and fall to 0 at the last node.
+    """
     furthest = np.maximum(distance[:, -1:], np.finfo(float).tiny)
-    # The constant keeps the sum positive where all are equally far.
+    # The constant keeps the sum positive where all nodes are equally far.
     weight = np.square(1.0 - np.square(distance / furthest)) + 1e-6
     falling: Array = weight / weight.sum(1, keepdims=True)
     return falling

@@ -1,78 +1,68 @@
-"""Large clouds: some of their points move, and all others follow."""
+"""Control points of a cloud: an evenly spread subset that moves by itself; all others follow."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..geometry.arrays import Array, Bits
 from ..losses.nearest import nearest_few
-from ..optimisation.presets import FIELD_NODES
-from .outliers import spread_on_surfaces
+from .outliers import spread_over_surfaces
 from .smooth_field import INTERPOLATED_FROM, falling_weights
 
-Array = NDArray[np.float64]
-
-# Points carried at once; bounds memory.
-CARRIED_AT_ONCE = 1 << 16
+# Points that are interpolated at once; bounds memory.
+INTERPOLATED_AT_ONCE = 1 << 16
 
 
 class Subset:
-    """At most ``most`` points of a cloud (None: all), by farthest-point sampling; few that lie apart.
+    """At most ``most`` points of a cloud (None: all of them), by farthest-point sampling.
 
-    A mask resolves hardly more of a surface: with all points the results are about as accurate, and take longer.
+    A mask resolves hardly more of a surface than 1,024 points: with all points the results are
+    about as accurate, and take longer.
 
     Attributes
     ----------
-    kept : [V] bool, the points that count; the others stay where they are, and nothing depends on them.
-    samples : [S, 3], in the unit of the cloud.
+    control_points : [S, 3], in the unit of the cloud.
     """
 
-    def __init__(
-        self, points: Array, kept: NDArray[np.bool_], most: int | None = FIELD_NODES
-    ) -> None:
-        self._given, self.kept = points, kept
-        self._inliers = self.judged(points)
-        count = len(self._inliers) if most is None else most
+    def __init__(self, points: Array, inliers: Bits, most: int | None) -> None:
+        self._all_inliers, self._inliers = bool(inliers.all()), inliers
+        self._points = self.measured(points)
+        count = len(self._points) if most is None else min(most, len(self._points))
         self._chosen = (
-            spread_on_surfaces(self._inliers, count) if count < len(self._inliers) else slice(None)
+            spread_over_surfaces(self._points, count) if count < len(self._points) else slice(None)
         )
-        self.samples: Array = self._inliers[self._chosen]
-
-    def with_samples(self, most: int | None) -> Subset:
-        """The same cloud with at most ``most`` samples, None for all points. Itself if the number stays."""
-        count = len(self._inliers) if most is None else min(most, len(self._inliers))
-        return self if count == len(self.samples) else Subset(self._given, self.kept, most)
+        self.control_points: Array = self._points[self._chosen]
 
     @property
     def partial(self) -> bool:
-        """Whether points follow."""
-        return len(self.samples) < len(self._inliers)
+        """Whether there are points that follow control points."""
+        return len(self.control_points) < len(self._points)
 
-    def at(self, values: Array) -> Array:
-        """[S, C], values [V, C] of the samples."""
-        return self.judged(values)[self._chosen]
+    def at_control_points(self, values: Array) -> Array:
+        """[S, C], the ``values`` [V, C] of the control points."""
+        return self.measured(values)[self._chosen]
 
-    def judged(self, values: Array) -> Array:
-        """[J, C], values [V, C] of all points that count."""
-        return values if self.kept.all() else values[self.kept]
+    def measured(self, values: Array) -> Array:
+        """[M, C], the ``values`` [V, C] of all points but outliers."""
+        return values if self._all_inliers else values[self._inliers]
 
-    def followed(self, displacements: Array) -> Array:
-        """Displacements [V, 3] of all points from those of the samples [S, 3].
+    def follow(self, displacements: Array) -> Array:
+        """Displacements [V, 3] of all points by those of the control points [S, 3].
 
-        A point between samples takes the weighted mean of the nearest of them, as it would of a field's nodes.
+        A point takes the weighted mean of its nearest control points, as it would take the mean of
+        a field's nodes. Outliers stay.
         """
-        of_inliers = np.empty_like(self._inliers)
+        of_points = np.empty_like(self._points)
         if self.partial:
-            count = min(INTERPOLATED_FROM, len(self.samples))
-            for start in range(0, len(of_inliers), CARRIED_AT_ONCE):
-                part = slice(start, start + CARRIED_AT_ONCE)
-                points = self._inliers[part]
-                near = nearest_few(points, self.samples, count)
-                weights = falling_weights(
-                    np.sqrt(np.square(points[:, None] - self.samples[near]).sum(2))
-                )
-                of_inliers[part] = (weights[..., None] * displacements[near]).sum(1)
-        of_inliers[self._chosen] = displacements
-        of_all = np.zeros((len(self.kept), 3))
-        of_all[self.kept] = of_inliers
+            count = min(INTERPOLATED_FROM, len(self.control_points))
+            for start in range(0, len(of_points), INTERPOLATED_AT_ONCE):
+                part = slice(start, start + INTERPOLATED_AT_ONCE)
+                points = self._points[part]
+                near = nearest_few(points, self.control_points, count)
+                squared = np.square(points[:, None] - self.control_points[near]).sum(2)
+                weights = falling_weights(np.sqrt(squared))
+                of_points[part] = (weights[..., None] * displacements[near]).sum(1)
+        of_points[self._chosen] = displacements
+        of_all = np.zeros((len(self._inliers), 3))
+        of_all[self._inliers] = of_points
         return of_all

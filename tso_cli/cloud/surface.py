@@ -1,117 +1,109 @@
-"""Meshes: samples of a surface move in place of its vertices, and the vertices follow."""
+"""Control points of a mesh: samples of its surface move, and the vertices follow."""
 
 from __future__ import annotations
 
-import warnings
-from copy import copy
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Indices
 from ..geometry.points import CANDIDATES, as_triangles, draw_surface, spread_subset
-from ..optimisation.presets import FIELD_NODES
 from .smooth_field import INTERPOLATED_FROM, falling_weights
 
-Array = NDArray[np.float64]
-
-# Their displacements are corrected by a dense linear system.
-MOST_SAMPLES = 4096
-# Weight of changing a sample's displacement, beside that of the faces moving the sample elsewhere.
+# The displacements of control points are corrected by a dense linear system of this size.
+MOST_CONTROL_POINTS = 4096
+# Weight of changing a control point's displacement. The weight of the distance between the control
+# point and where the faces carry it is 1.
 RIDGE = 0.1
 
 
 class Surface:
-    """A triangle mesh and some points of it, 1,024 at first, spread by farthest-point sampling among many drawn by area.
+    """A triangle mesh and many points of it, drawn by area.
 
-    The same mesh gives the same samples, however it is cut into faces.
+    The same mesh gives the same points, however it is cut into faces. Vertices of no face are not
+    part of the surface.
+    """
+
+    def __init__(self, vertices: Array, triangles: Indices) -> None:
+        """Raises InputError where the triangles [F, 3] have no area."""
+        drawn, shares = draw_surface(vertices, triangles, CANDIDATES, np.random.default_rng(0))
+        self.vertices = vertices
+        self.corners = triangles[drawn]
+        self.shares = np.concatenate([1.0 - shares.sum(1, keepdims=True), shares], axis=1)
+
+    @classmethod
+    def of(cls, vertices: Array, faces: Any, name: str) -> tuple[Surface | None, str]:
+        """The surface of a mesh; or None, and why the vertices are taken for a cloud.
+
+        That is where the faces have no area or join less than half of the vertices. Raises
+        InputError where ``faces`` are not whole numbers [F, 3] that index ``vertices`` [V, 3].
+        """
+        triangles = as_triangles(faces, len(vertices), name)
+        joined = len(np.unique(triangles))
+        if 2 * joined < len(vertices):
+            return None, f"the faces join {joined:,} of {len(vertices):,} vertices"
+        try:
+            return cls(vertices, triangles), ""
+        except InputError:
+            return None, "the faces have no area"
+
+    def at(self, values: Array, chosen: Indices | slice = slice(None)) -> Array:
+        """[S, C], ``values`` [V, C] of the vertices interpolated at the ``chosen`` points."""
+        interpolated: Array = np.einsum(
+            "sk,skc->sc", self.shares[chosen], values[self.corners[chosen]]
+        )
+        return interpolated
+
+
+class SurfaceSamples:
+    """At most ``most`` points of a surface that move by themselves, by farthest-point sampling.
 
     Attributes
     ----------
-    vertices : [V, 3]; those of no face are no part of the surface.
-    samples : [S, 3], in the unit of the vertices.
+    control_points : [S, 3], in the unit of the vertices.
     """
 
     partial = True
 
-    def __init__(self, vertices: Array, triangles: NDArray[np.int64]) -> None:
-        """Raises InputError where the triangles [F, 3] have no area."""
-        drawn, shares = draw_surface(vertices, triangles, CANDIDATES, np.random.default_rng(0))
-        self.vertices = vertices
-        self._corners = triangles[drawn]
-        self._shares = np.concatenate([1.0 - shares.sum(1, keepdims=True), shares], axis=1)
-        self._move(FIELD_NODES)
+    def __init__(self, surface: Surface, most: int) -> None:
+        self._surface = surface
+        points = surface.at(surface.vertices)
+        self._chosen = spread_subset(points, min(most, MOST_CONTROL_POINTS))
+        self.control_points = self.at_control_points(surface.vertices)
 
-    def _move(self, count: int) -> None:
-        self._chosen = spread_subset(self.judged(self.vertices), count)
-        self.samples = self.at(self.vertices)
+    def at_control_points(self, values: Array) -> Array:
+        """[S, C], ``values`` [V, C] of the vertices interpolated at the control points."""
+        return self._surface.at(values, self._chosen)
 
-    def with_samples(self, most: int | None) -> Surface:
-        """The same mesh with ``most`` samples, at most 4,096; None keeps their number. Itself if the number stays."""
-        count = min(most or len(self.samples), MOST_SAMPLES)
-        if count == len(self.samples):
-            return self
-        changed = copy(self)
-        changed._move(count)
-        return changed
+    def measured(self, values: Array) -> Array:
+        """[M, C], the same at all points drawn by area: the surface as it is measured."""
+        return self._surface.at(values)
 
-    @classmethod
-    def of(cls, vertices: Array, faces: Any, name: str) -> Surface | None:
-        """The surface of a mesh; None, with a warning, where its faces have no area or join under half of its vertices.
+    def follow(self, displacements: Array) -> Array:
+        """Displacements [V, 3] of the vertices by those of the control points [S, 3].
 
-        Raises InputError where ``faces`` are not whole numbers [F, 3] that index ``vertices`` [V, 3].
-        """
-        triangles = as_triangles(faces, len(vertices), name)
-        joined = len(np.unique(triangles))
-        reason = f"the faces join {joined:,} of {len(vertices):,} vertices, which are therefore taken for a cloud"
-        try:
-            surface = cls(vertices, triangles)
-            if 2 * joined >= len(vertices):
-                return surface
-        except InputError:
-            reason = "the faces have no area, the vertices are taken for a cloud"
-        warnings.warn(f"{name}: {reason}", stacklevel=2)
-        return None
+        A vertex takes the weighted mean of its nearest control points, as a point of a large cloud
+        does. At an edge or a tip a mean lags behind, and large faces spread the lag. So the
+        displacements of the control points are first changed a little, by regularised linear least
+        squares, until the flat faces carry the control points where they should go.
 
-    def at(self, values: Array) -> Array:
-        """[S, C], values [V, C] of the vertices interpolated linearly at the samples."""
-        return _interpolated(values, self._corners[self._chosen], self._shares[self._chosen])
-
-    def judged(self, values: Array) -> Array:
-        """[J, C], the same at all points drawn by area, of which the samples are a subset: the surface as it is judged."""
-        return _interpolated(values, self._corners, self._shares)
-
-    def followed(self, displacements: Array) -> Array:
-        """Displacements [V, 3] of the vertices from those of the samples, [S, 3].
-
-        Each vertex takes the weighted mean of the samples nearest to it, as points of a large cloud do.
-        At an edge or a tip a mean lags behind, and large faces spread that: so the samples' displacements are first
-        changed a little, by regularised linear least squares, until the flat faces carry the samples where they should go.
-
-        Only its position decides how a vertex moves: duplicates, as along texture seams, stay together.
+        Only its position decides how a vertex moves: duplicates, as along texture seams, stay
+        together.
         """
         from scipy.spatial import cKDTree
 
-        distance, nearest = cKDTree(self.samples).query(self.vertices, INTERPOLATED_FROM)
+        surface = self._surface
+        distance, nearest = cKDTree(self.control_points).query(surface.vertices, INTERPOLATED_FROM)
         weights = falling_weights(distance)
         count = len(displacements)
-        # [S, S]: how far the faces carry each sample, per displacement of every sample.
+        # [S, S]: how far the faces carry each control point, by the displacement of every one.
         carried = np.zeros((count, count))
-        rows, corners = np.arange(count)[:, None, None], self._corners[self._chosen]
-        np.add.at(
-            carried,
-            (rows, nearest[corners]),
-            self._shares[self._chosen][..., None] * weights[corners],
-        )
+        rows = np.arange(count)[:, None, None]
+        corners, shares = surface.corners[self._chosen], surface.shares[self._chosen]
+        np.add.at(carried, (rows, nearest[corners]), shares[..., None] * weights[corners])
         normal = carried.T @ carried + RIDGE * np.eye(count)
-        corrected = displacements + np.linalg.solve(
-            normal, carried.T @ (displacements - carried @ displacements)
-        )
+        lag = displacements - carried @ displacements
+        corrected = displacements + np.linalg.solve(normal, carried.T @ lag)
         of_vertices: Array = (weights[..., None] * corrected[nearest]).sum(1)
         return of_vertices
-
-
-def _interpolated(values: Array, corners: NDArray[np.int64], shares: Array) -> Array:
-    interpolated: Array = np.einsum("sk,skc->sc", shares, values[corners])
-    return interpolated

@@ -1,4 +1,4 @@
-"""`tso compile`: compile the numba kernels ahead of the first run that needs them."""
+"""`tso compile`: compile the loops with numba ahead of the first run that needs them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from . import options
 
 @click.command("compile")
 def command() -> None:
-    """Compile the kernels of large refinements now, once, for all runs.
+    """Compile the loops for large clouds now, once for all later runs.
 
-    Without it, a refinement of many points that is too short to repay the compilation runs in plain torch, and says so;
-    training and batches of many clouds compile what they need. Takes about ten seconds. The machine code is kept beside the
-    package or in the user's cache folder (NUMBA_CACHE_DIR, if set) until tso, the compiler or Python changes.
+    Large refinements run faster in compiled loops. If the loops are not compiled yet, a refinement
+    that is too short to repay about ten seconds of compiling runs in numpy, and prints a warning.
+    Longer refinements, batches of many clouds and trainings compile the loops that they need.
+
+    The machine code is stored next to the package, or in the user's cache folder if the package
+    cannot be written to; the variable NUMBA_CACHE_DIR names another folder. It stays valid until
+    tso, numba or Python changes.
     """
     begun = time.perf_counter()
     from ..refinement.api import compile_loops

@@ -1,4 +1,4 @@
-"""`tso curves`: parse, call, print."""
+"""`tso curves`: the losses of trainings, and samples of a network."""
 
 from __future__ import annotations
 
@@ -18,32 +18,39 @@ from . import options
     type=options.FilePath(),
     default="curves.png",
     show_default=True,
-    help="Picture to write.",
+    help="Picture to write (.png).",
 )
 @click.option(
     "--checkpoint",
     type=options.FilePath(),
-    help="Network to draw samples of, into NAME.samples.png beside it.",
+    help="Draw samples of this network too; needs --data.",
 )
-@click.option("--data", type=options.FilePath(), help="Data set of the samples.")
+@click.option("--data", type=options.FilePath(), help="Data set that the samples are from.")
 @click.option(
-    "--split", "split_file", type=options.FilePath(), help='Take samples only from its list "test".'
+    "--split",
+    "split_file",
+    type=options.FilePath(),
+    help='Take the samples from the list "test" of this split (.json).',
 )
 @click.option(
     "--samples",
     "count",
-    type=click.IntRange(min=1, max=50),
+    type=options.Whole(1, 50),
     default=6,
     show_default=True,
-    help="How many.",
+    help="Number of samples, 1 to 50.",
 )
 @options.overwrite
 def command(
     logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, **chosen: Path | None
 ) -> None:
-    """Draw the losses in LOGS, which `tso train --log-file` wrote: raw values under their running mean.
+    """Draw the losses of trainings.
 
-    With --checkpoint and --data also samples of a network: input, prediction and target from two sides.
+    LOGS are files that `tso train --log-file` wrote. The picture shows every value and a running
+    mean.
+
+    With --checkpoint and --data a second picture, NAME.samples.png, shows what the network
+    predicts: input, prediction and target, seen from two sides.
     """
     from ..io.checkpoints import load_network
     from ..io.logs import read_log
@@ -81,14 +88,16 @@ def command(
             part="test",
         )
         training = load(selection)
-        samples, scale = sample_predictions(network, training, config.frame, count), training.scale
+        samples = sample_predictions(network, training, config.frame, count)
+        scale = training.scale
     draw_curves(output, histories, overwrite)
     for name, log in zip(labels(histories), histories, strict=True):
         losses, drop = log.columns["loss"], lambda_drop(log)
         dropped = "" if drop is None else f", lambda dropped before step {drop}"
         last = running_mean(losses, max(1, len(losses) // 50))[-1]
         click.echo(
-            f"{name}: {len(losses)} steps, {log.settings['supervision']}, loss {losses[0]:.4g} to {last:.4g}{dropped}"
+            f"{name}: {len(losses)} steps, {log.settings['supervision']}, "
+            f"loss {losses[0]:.4g} to {last:.4g}{dropped}"
         )
     if samples:
         draw_samples(pictures, samples, scale, overwrite)

@@ -14,93 +14,118 @@ from ..plots.table import text_table
 from . import options
 
 PATH = options.FilePath()
-HEADINGS = {"chamfer": "Metrics", "protocol": "Clouds", "mask": "Silhouettes", "suffix": "Other"}
-# Between a voxel grid and a shape: a larger offset of the centres, in longest sides of the target, is one of the frames.
-FAR = 0.25
+HEADINGS = {
+    "chamfer": "Metrics",
+    "protocol": "Clouds",
+    "mask": "Input of --iou",
+    "suffix": "Input and output",
+}
+# If the centres of a voxel grid and of a shape are farther apart than this, in longest sides of the
+# target, the two are in different frames: shapes of one frame have nearly the same centre.
+FAR_CENTRES = 0.25
+# The longest side of the target is called 1 if it is 1 within this: published shapes are.
+UNIT_SIDE = 0.02
 
 
 @click.command("eval", cls=options.Command, headings=HEADINGS)
 @click.argument("prediction", type=PATH)
 @click.argument("target", type=PATH)
-@click.option("--chamfer", is_flag=True, help="Chamfer distance (the default).")
-@click.option("--f-score", is_flag=True, help="F-score at a distance.")
+@click.option(
+    "--chamfer", is_flag=True, help="Chamfer distance. The default if no metric is named."
+)
+@click.option("--f-score", is_flag=True, help="F-score at the distance --threshold.")
 @click.option(
     "--threshold",
     type=float,
-    help="Distance of the F-score.  [default: 1 % of the target's longest side]",
+    help="Distance up to which a point counts as found, for --f-score.  "
+    "[default: 1 % of the target's longest side]",
 )
-@click.option("--emd", is_flag=True, help="Earth mover's distance; clouds of equal size.")
-@click.option("--iou", is_flag=True, help="IoU of silhouette and mask; needs --mask.")
+@click.option(
+    "--emd",
+    is_flag=True,
+    help="Earth mover's distance. Both clouds need the same number of points.",
+)
+@click.option(
+    "--iou", is_flag=True, help="IoU of the prediction's silhouette and a mask; needs --mask."
+)
 @click.option(
     "--protocol",
     type=click.Choice(PROTOCOLS),
     default="plain",
-    help="plain: clouds as they are; capnet: see above.",
+    help="plain: clouds as they are. capnet: the paper's normalisation, see above.",
 )
 @click.option(
     "--points",
     type=int,
     metavar="N",
-    help="Farthest-point sample N points of every cloud first.  [default: all; capnet 1024]",
+    help="Keep N points of every cloud, chosen by farthest-point sampling.  "
+    "[default: all; capnet 1024]",
 )
 @click.option(
     "--samples",
     type=int,
     default=16384,
-    help="Points sampled from the surface of a mesh or voxel grid.",
+    help="Points to sample from the surface of a mesh or voxel grid.",
 )
 @click.option(
     "--vertices",
     "as_vertices",
     is_flag=True,
-    help="Take the vertices of meshes, not their surface.",
+    help="Compare the vertices of meshes instead of their surfaces.",
 )
-@click.option("--mask", type=PATH, help="Mask of the object, or a folder of NAME.png.")
+@click.option("--mask", type=PATH, help="Mask of the object, or a folder with NAME.png.")
 @click.option(
     "--camera",
     type=PATH,
-    help="Camera file, for one mask or for all, or a folder of NAME.camera.json.",
+    help="Camera file for all masks, or a folder with NAME.camera.json.  "
+    "[default: the camera file next to the mask]",
 )
 @click.option(
     "--sigma-sq",
     type=float,
-    help="IoU of the paper's silhouette, Gaussians of this variance, px^2.",
+    help="Draw the silhouette as the paper does, with Gaussians of this variance (px^2).",
 )
 @click.option(
     "--suffix",
     default="",
     show_default=False,
-    help="In folders: predictions are called NAME + this, as .refined.",
+    help="In folders: what the predictions' names have after NAME, such as .refined.",
 )
 @click.option(
     "--fail-above",
     type=float,
     metavar="X",
-    help="Exit with 3 if the mean Chamfer x1000 is above X.",
+    help="Exit with code 3 if the mean Chamfer distance x1000 is above X.",
 )
 @options.seed
 @options.as_json
 def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
     """Compare PREDICTION with TARGET: two files, or two folders matched by name.
 
-    Files are point clouds (.ply .npy .xyz .txt), meshes (.obj .off .stl .glb, .ply with faces) or voxel grids (.npy .binvox);
-    of meshes and grids, points sampled on the surface are compared, for PREDICTION and TARGET independently: the distance of
-    equal surfaces is that of two samples, not 0. A .binvox grid is centred at the origin. In folders .txt files are left out.
+    Files are point clouds (.ply .npy .xyz .txt), meshes (.obj .off .stl .glb, .ply with faces) or
+    voxel grids (.npy .binvox). Meshes and grids are compared by points sampled from their surfaces.
+    PREDICTION and TARGET are sampled independently, so the distance of two equal surfaces is not 0.
+    A .binvox grid is centred at the origin. In folders, .txt files are ignored.
 
-    Chamfer: squared distances, mean over points; forward is target -> prediction, backward prediction -> target. The table
-    shows it x1000, --json raw. --protocol capnet, the paper's, first thins each cloud to 1,024 points, then centres it on its
-    own bounding box and scales it to longest side 1, which hides errors of scale and place.
+    The Chamfer distance is the mean of squared distances over the points. Forward is from target to
+    prediction, backward from prediction to target, Chamfer their sum. The table shows it x1000,
+    --json shows it as it is.
+
+    --protocol capnet is the paper's: it thins each cloud to 1,024 points, centres it on its own
+    bounding box and scales it to longest side 1. This hides errors of scale and position.
     """
     metrics = tuple(name for name in METRICS if chosen[name]) or ("chamfer",)
     config = options.pick(EvalConfig, chosen | {"metrics": metrics})
     if fail_above is not None and ("chamfer" not in metrics or not fail_above >= 0.0):
         raise InputError(
-            f"--fail-above {fail_above:g} bounds the Chamfer distance, expected a number >= 0 and --chamfer"
+            f"--fail-above {fail_above:g} bounds the Chamfer distance, "
+            "expected a number >= 0 and --chamfer"
         )
     masked = chosen["mask"] is not None or chosen["camera"] is not None
     if "iou" in metrics and not masked:
         raise InputError(
-            "--iou needs --mask (with --camera, or a camera file beside it), or a --camera file that names masks"
+            "--iou needs --mask (with --camera, or a camera file next to the mask), "
+            "or a --camera file that names masks"
         )
     for used, serving, metric in (
         (masked, "--mask and --camera serve --iou", "iou"),
@@ -120,12 +145,18 @@ def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
         click.echo(_table(result, config))
     if fail_above is not None and not 1000.0 * result["mean"]["chamfer"] <= fail_above:
         raise GateError(
-            f"mean Chamfer x1000 is {1000.0 * result['mean']['chamfer']:.4g}, above {fail_above:g} (--fail-above)"
+            f"mean Chamfer x1000 is {1000.0 * result['mean']['chamfer']:.4g}, "
+            f"above {fail_above:g} (--fail-above)"
         )
 
 
 def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
-    """Log what may surprise a reader of the numbers: sampled surfaces, and frames or sizes that differ."""
+    """Log what may surprise a reader of the numbers.
+
+    1. Meshes and voxel grids are compared by samples.
+    2. A voxel grid and a shape seem to be in different frames.
+    3. The target does not have longest side 1.
+    """
     samples = f"{config.samples:,} points of the surface"
     meshes = (
         "their vertices" if config.as_vertices else f"{samples} (--vertices takes the vertices)"
@@ -134,26 +165,30 @@ def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
         kinds = Counter(record[f"{side}_kind"] for record in records)
         for kind, noun, how in (("mesh", "meshes", meshes), ("voxels", "voxel grids", samples)):
             if kinds[kind]:
-                options.log(f"{side}: {kinds[kind]} of {len(records)} are {noun}, judged by {how}")
+                options.log(
+                    f"{side}: {kinds[kind]} of {len(records)} are {noun}, compared by {how}"
+                )
     if config.protocol != "plain":
         return
     far = [
         record
         for record in records
         if "voxels" in (record["prediction_kind"], record["target_kind"])
-        and record["centre_offset"] > FAR * record["target_longest_side"]
+        and record["centre_offset"] > FAR_CENTRES * record["target_longest_side"]
     ]
     if far:
         pairs = f", too far in {len(far)} of {len(records)} pairs" if len(far) > 1 else ""
         options.log(
-            f"{far[0]['name']}: the centres of prediction and target are {far[0]['centre_offset']:.3g} apart{pairs}; voxel "
-            "grids are centred at the origin, expected the same of what they are compared with (--protocol capnet centres both)"
+            f"{far[0]['name']}: the centres of prediction and target are "
+            f"{far[0]['centre_offset']:.3g} apart{pairs}; voxel grids are centred at the origin, "
+            "expected the other shape centred there too (--protocol capnet centres both)"
         )
     sides = [record["target_longest_side"] for record in records]
-    if min(sides) > 0.0 and not all(0.98 < side < 1.02 for side in sides):
+    if min(sides) > 0.0 and not all(abs(side - 1.0) < UNIT_SIDE for side in sides):
         span = f"{min(sides):.4g}" if len(sides) == 1 else f"{min(sides):.4g} to {max(sides):.4g}"
         options.log(
-            f"the longest side of the target is {span}; published figures are for 1 (--protocol capnet rescales)"
+            f"the longest side of the target is {span}; published figures are for 1 "
+            "(--protocol capnet rescales)"
         )
 
 
@@ -199,10 +234,11 @@ def _conventions(result: dict[str, Any], config: EvalConfig, squared_emd: bool) 
         {record["prediction_kind"], record["target_kind"]} <= sampled for record in result["pairs"]
     ):
         lines.append(
-            "surfaces: prediction and target draw their own points, so that equal shapes are not at 0 but at two samples"
+            "surfaces: prediction and target draw their own points, "
+            "so that the distance of equal shapes is not 0"
         )
     lines.append(
-        f"protocol {config.protocol} (normalisation: {convention['normalisation']}), {convention['thinning']}, "
-        f"samples {config.samples}, seed {config.seed}, cpu, float64"
+        f"protocol {config.protocol} (normalisation: {convention['normalisation']}), "
+        f"{convention['thinning']}, samples {config.samples}, seed {config.seed}, cpu, float64"
     )
     return lines

@@ -1,4 +1,4 @@
-"""`tso export`: a network in half the size."""
+"""`tso export`: a copy of a network at half the size."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ from . import options
     "--output",
     type=options.FilePath(),
     required=True,
-    help="The copy to write, .safetensors.",
+    help="Copy to write (.safetensors).",
 )
 @options.overwrite
 @options.as_json
 def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> None:
-    """Write a network with 16-bit weights and without the state of its training.
+    """Write a copy of CHECKPOINT with 16-bit weights and without the state of its training.
 
-    The copy is used like any checkpoint, but a training cannot be resumed from it. The largest change of a predicted point is
-    measured on the shipped examples.
+    The copy is used like any checkpoint, but a training cannot be resumed from it. The command
+    prints how far predicted points move because of the smaller weights, measured on the shipped
+    examples.
     """
     options.require_output(output, ".safetensors", overwrite)
     import torch
@@ -53,12 +54,13 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
         return
     click.echo(f"{output}: {before / 1e6:.1f} MB -> {after / 1e6:.1f} MB")
     click.echo(
-        f"  moved  {moved:.2g} at most, of a shape's longest side (predicted points of {', '.join(CATEGORIES)})"
+        f"  moved  {moved:.2g} of a shape's longest side at most "
+        f"(predicted points of {', '.join(CATEGORIES)})"
     )
 
 
 def _largest_change(folder: Path, *checkpoints: Path) -> float:
-    """The largest distance between corresponding points that two checkpoints predict for an example."""
+    """The largest distance between corresponding points that the two checkpoints predict."""
     import torch
 
     (view,), _ = load_views(ViewFiles([folder / "mask.png"]))

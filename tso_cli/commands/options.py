@@ -1,4 +1,4 @@
-"""What several commands share: options, help in sections, progress, warnings and JSON."""
+"""What several commands share: groups, options, help, tables, progress, warnings and JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from importlib import import_module
@@ -23,39 +23,58 @@ from ..io.output import check_output
 
 T = TypeVar("T")
 SHOW_ALL = "tso.show_all"
-"""Of a context's ``meta``: whether its help shows every option."""
+"""Key of a context's ``meta``: whether the help shows every option."""
+FIT = Path("fit")
+"""What `--camera` takes instead of a file, to estimate the camera."""
 
 
 class FilePath(click.Path):
-    """A path as `pathlib.Path`; the readers check it, so that their messages are the same everywhere."""
+    """A path as `pathlib.Path`; the readers check it, so their messages are the same everywhere."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
 
 
-class AutoOrInteger(click.types.IntParamType):
-    """A whole number; None for auto."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return None if value == "auto" else super().convert(value, param, ctx)
-
-
-FIT = Path("fit")
-"""What `--camera` takes instead of a file, to estimate the camera."""
-
-
 class CameraPath(FilePath):
-    """A camera file, or ``FIT``; a file of that name, written ./fit, becomes absolute."""
+    """A camera file, or ``FIT``. A file with that name, written ./fit, becomes absolute."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         path = super().convert(value, param, ctx)
         return path.absolute() if path == FIT and str(value) != str(FIT) else path
 
 
-class LazyGroup(click.Group):
-    """A click group of modules that each hold a ``command``, imported to run it: `tso --help` must not wait for torch.
+class AutoOrInteger(click.types.IntParamType):
+    """A whole number, or None for auto."""
 
-    sections : heading -> name of a command -> (its module, its line of help).
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return None if value == "auto" else super().convert(value, param, ctx)
+
+
+class Whole(click.types.IntParamType):
+    """A whole number from ``least`` to ``most``; `click.IntRange` would add both to the help."""
+
+    def __init__(self, least: int | None = None, most: int | None = None) -> None:
+        self.least, self.most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        number = super().convert(value, param, ctx)
+        if self.least is not None and number < self.least:
+            self.fail(f"{number} is too small, expected {self.least} or more.", param, ctx)
+        if self.most is not None and number > self.most:
+            self.fail(f"{number} is too large, expected at most {self.most}.", param, ctx)
+        return number
+
+
+class LazyGroup(click.Group):
+    """Commands that are imported when they are run, so that `tso --help` does not wait for torch.
+
+    Without a command the group prints its help on stderr and exits with 2, with every version of
+    click.
+
+    Parameters
+    ----------
+    sections : heading -> name of a command -> (its module, its line of help). The module holds the
+        command as ``command``. Commands of a section that have the same line share a row.
     """
 
     def __init__(
@@ -66,27 +85,49 @@ class LazyGroup(click.Group):
         self._modules = {
             name: module for section in sections.values() for name, (module, _) in section.items()
         }
+        _complete(self)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self._modules)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name not in self._modules:
-            return None
-        command: click.Command = import_module(self._modules[cmd_name]).command
+        return _complete(self.load(cmd_name)) if cmd_name in self._modules else None
+
+    def load(self, name: str) -> click.Command:
+        """Import the command ``name``, which is one of the group."""
+        command: click.Command = import_module(self._modules[name]).command
         return command
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if not args and not ctx.resilient_parsing:
+            click.echo(ctx.get_help(), err=True)
+            ctx.exit(2)
+        return super().parse_args(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        for heading, commands in self.sections.items():
+        sections = {heading: _rows(commands) for heading, commands in self.sections.items()}
+        width = max(len(names) for rows in sections.values() for names, _ in rows)
+        for heading, rows in sections.items():
             with formatter.section(heading):
-                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
+                formatter.write_dl([(names.ljust(width), line) for names, line in rows])
+
+
+def _rows(commands: dict[str, tuple[str, str]]) -> list[tuple[str, str]]:
+    """(names, line of help) of the commands of a section."""
+    names: dict[str, list[str]] = {}
+    for name, (_, line) in commands.items():
+        names.setdefault(line, []).append(name)
+    return [(", ".join(sharing), line) for line, sharing in names.items()]
 
 
 class Command(click.Command):
     """A command whose help shows defaults, and options under headings.
 
-    headings : name of a parameter -> the heading that it and those after it stand under.
-    brief : names of the options that --help shows; --help-all shows every one. Without any, --help does.
+    Parameters
+    ----------
+    headings : name of a parameter -> the heading above it and above the parameters after it.
+    brief : names of the options that --help shows; --help-all shows every option. If empty, both
+        show every option.
     """
 
     def __init__(
@@ -95,23 +136,13 @@ class Command(click.Command):
         super().__init__(*args, **kwargs)
         self.context_settings["show_default"] = True
         self.headings, self.brief = headings, brief
-        if brief:
-            self.params.append(
-                click.Option(
-                    ["--help-all"],
-                    is_flag=True,
-                    is_eager=True,
-                    expose_value=False,
-                    callback=_show_all,
-                    help="Show every option.",
-                )
-            )
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         brief = bool(self.brief) and not ctx.meta.get(SHOW_ALL)
         heading, sections = "Options", dict[str, list[tuple[str, str]]]()
         for parameter in self.get_params(ctx):
-            if brief and parameter.name not in self.brief and not parameter.is_eager:
+            # Not passed to the command: --help and --help-all.
+            if brief and parameter.expose_value and parameter.name not in self.brief:
                 continue
             heading = heading if brief else self.headings.get(parameter.name or "", heading)
             if isinstance(parameter, click.Option) and (record := parameter.get_help_record(ctx)):
@@ -121,6 +152,30 @@ class Command(click.Command):
                 formatter.write_dl(records)
 
 
+def _complete(command: click.Command) -> click.Command:
+    """Give ``command`` what all commands have: --help-all, and N and X for numbers in its help."""
+    if any(parameter.name == "help_all" for parameter in command.params):
+        return command
+    for parameter in command.params:
+        if isinstance(parameter, click.Option) and parameter.nargs == 1:
+            if isinstance(parameter.type, click.types.IntParamType):
+                parameter.metavar = parameter.metavar or "N"
+            elif isinstance(parameter.type, click.types.FloatParamType):
+                parameter.metavar = parameter.metavar or "X"
+    command.params.append(
+        click.Option(
+            ["--help-all"],
+            is_flag=True,
+            is_eager=True,
+            expose_value=False,
+            callback=_show_all,
+            hidden=not getattr(command, "brief", ()),  # it would show what --help shows
+            help="Show every option and exit.",
+        )
+    )
+    return command
+
+
 def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
     if value and not ctx.resilient_parsing:
         ctx.meta[SHOW_ALL] = True
@@ -128,31 +183,57 @@ def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> No
         ctx.exit()
 
 
-overwrite = click.option("--overwrite", is_flag=True, help="Replace an output that exists.")
+def listing(table: Callable[[], Mapping[str, str]]) -> Callable[..., Any]:
+    """The callback of an option that takes the word `list`: print ``table()`` and exit with 0.
+
+    The option has to be eager, so that `tso COMMAND --option list` needs no arguments. ``table`` is
+    called only then: it may import.
+    """
+
+    def print_if_asked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
+        asked = value == "list" or (isinstance(value, tuple) and "list" in value)
+        if asked and not ctx.resilient_parsing:
+            print_table(table().items())
+            ctx.exit()
+        return value
+
+    return print_if_asked
+
+
+def print_table(rows: Iterable[tuple[str, str]]) -> None:
+    """Print names and what they mean in two columns, a name a line."""
+    rows = list(rows)
+    width = max((len(name) for name, _ in rows), default=0)
+    for name, words in rows:
+        click.echo(f"{name:{width}}  {words}")
+
+
+overwrite = click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 seed = click.option(
     "--seed",
-    type=click.IntRange(0, 2**63 - 1),
+    type=Whole(0, 2**63 - 1),
     default=0,
     show_default=True,
-    help="Seed of everything random.",
+    help="Seed of all random numbers.",
 )
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 device = click.option(
     "--device",
     default="cpu",
     show_default=True,
-    help="cpu, cuda, cuda:1, mps or auto; GPU support (Triton kernels) is experimental.",
+    metavar="DEVICE",
+    help="cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
 )
 
 
 def pick(kind: type[T], chosen: Mapping[str, Any]) -> T:
-    """The dataclass ``kind`` from the options that it has fields for."""
+    """The dataclass ``kind``, made of the options that are its fields."""
     names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     return kind(**{name: value for name, value in chosen.items() if name in names})
 
 
 def require_output(path: Path, suffix: str, overwrite: bool) -> None:
-    """InputError for an output that has another suffix or cannot be written (`check_output`)."""
+    """InputError if the suffix of an output is wrong or the output cannot be written."""
     if path.suffix.lower() != suffix:
         raise InputError(f"{path}: the suffix is {path.suffix!r}, expected {suffix}")
     check_output(path, overwrite)
@@ -160,7 +241,7 @@ def require_output(path: Path, suffix: str, overwrite: bool) -> None:
 
 @contextmanager
 def loading() -> Iterator[None]:
-    """Import without garbage collection: torch makes many objects, and scanning them takes a tenth of a second."""
+    """Import without garbage collection: torch makes many objects, scanning them takes 0.1 s."""
     gc.disable()
     try:
         yield
@@ -171,7 +252,7 @@ def loading() -> Iterator[None]:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Name ``path`` where the work on it fails."""
+    """Begin the message of an error with ``path``; an InputError names its file already."""
     try:
         yield
     except InputError:
@@ -202,27 +283,32 @@ def log(message: str) -> None:
     click.echo(message, err=True)
 
 
-@contextmanager
-def collected_warnings(quiet: bool) -> Iterator[list[str]]:
-    """Collect the texts of all warnings in a list; show them too unless ``quiet``."""
-    show, texts = warnings.showwarning, []
+class Warnings:
+    """The warnings of a block, in order, as ``texts``; they are printed too unless ``quiet``."""
 
-    def collect(message: Warning | str, *rest: Any, **named: Any) -> None:
-        texts.append(str(message))
-        if not quiet:
-            show(message, *rest, **named)
+    def __init__(self, quiet: bool) -> None:
+        self.quiet = quiet
+        self.texts: list[str] = []
 
-    warnings.showwarning = collect
-    try:
-        yield texts
-    finally:
-        warnings.showwarning = show
+    def __enter__(self) -> Warnings:
+        self._show = warnings.showwarning
+        warnings.showwarning = self._keep
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        warnings.showwarning = self._show
+
+    def _keep(self, message: Warning | str, *rest: Any, **named: Any) -> None:
+        self.texts.append(str(message))
+        if not self.quiet:
+            self._show(message, *rest, **named)
 
 
 class ProgressBar:
-    """Progress on stderr: a bar with the time left on a terminal, else a line every tenth of the work or 15 seconds.
+    """Progress on stderr.
 
-    Nothing is shown in the first ``delay`` seconds.
+    On a terminal it is a bar with the time left. Otherwise it is a line after every tenth of the
+    work, and after 15 seconds. Nothing is shown in the first ``delay`` seconds.
     """
 
     def __init__(self, label: str, delay: float = 1.0) -> None:

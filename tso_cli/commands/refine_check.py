@@ -3,89 +3,66 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from typing import Any
 
 import click
 
-from ..cloud.cloud import Cloud, outlier_warnings
-from ..diagnosis.agreement import Agreement
-from ..diagnosis.hypotheses import Suspect
-from ..diagnosis.mistake_check import checked_hint
-from ..diagnosis.placement import (
-    SMALLEST_BOX_IOU,
-    Placement,
-    behind_warnings,
-    describe_box,
-    mask_doubts,
-    place,
-    require_overlap,
-)
-from ..geometry.camera import Array, Camera
-from ..geometry.view import View
+from ..diagnosis.examine import Diagnosis, NoOverlapError
+from ..diagnosis.placement import LEAST_BOX_IOU, Placement, describe_box
+from ..geometry.arrays import Array
+from ..geometry.camera import Camera
 from ..kernels import blas
-from ..optimisation.problem import Problem
-from ..refinement import RefineConfig
+from ..optimisation.settings import Settings
+from ..refinement.run import check
 from ..scene.load import Scene
 from ..version import __version__
 from . import options
+from .sentences import Words
 
 
 def check_scene(
-    scene: Scene, config: RefineConfig, as_json: bool, quiet: bool, warned: list[str]
+    scene: Scene, settings: Settings, words: Words, as_json: bool, quiet: bool, warned: list[str]
 ) -> str:
-    """Print cameras, scale and overlap; InputError where cloud and mask do not overlap. Returns what looks wrong, or "".
+    """Print cameras, scale and overlap. Returns what looks wrong, or "".
 
-    ``warned`` collects the warnings so far and those to come.
+    ``warned`` collects the warnings so far and those to come. Raises InputError where cloud and
+    mask do not overlap.
     """
-    placements = [place(scene.moving, view) for view in scene.views]
-    doubts = outlier_warnings(_outliers(scene))
-    for view, placement in zip(scene.views, placements, strict=True):
-        doubts += [*mask_doubts(view, len(scene.moving)), *behind_warnings(placement, view)]
-    for doubt in doubts:
-        warnings.warn(doubt, stacklevel=1)
-    overlaps = [placement.box_iou > SMALLEST_BOX_IOU for placement in placements]
-    agreement = Agreement.of(scene.moving, scene.views) if scene.start else None
-    if scene.start and agreement and agreement.hint and all(overlaps):
-        agreement = _checked(scene.start, scene.views, config)
-    suspicion = agreement.suspicion if agreement else None
-    if suspicion and all(overlaps):
+    apart = None
+    try:
+        with blas.one_thread():
+            diagnosis = check(scene.refined, settings)
+    except NoOverlapError as error:
+        apart, diagnosis = words.no_overlap(error), error.diagnosis
+    for text in words.notes(diagnosis.notes):
+        warnings.warn(text, stacklevel=1)
+    suspicion = words.suspicion(diagnosis.suspicious)
+    if suspicion and not apart:
         warnings.warn(suspicion, stacklevel=1)
     elif suspicion:
-        # The error to come says it too.
+        # The error says it too.
         warned.append(suspicion)
-    reason = suspicion or scene.doubt
+    unsure = [one.says for one in diagnosis.notes if one.name == "unsure-camera"]
+    reason = suspicion or "".join(unsure)
     if as_json:
-        suspects = agreement.named if agreement else ()
-        judged = verdict_document(None, "doubtful" if reason else None, reason, warned, suspects)
-        options.echo_json(_document(scene, placements, overlaps, judged))
+        suspects = [words.suspect(finding) for finding in diagnosis.suspicious]
+        verdict = "doubtful" if reason else None
+        trust = verdict_document(None, verdict, reason, warned, suspects)
+        options.echo_json(
+            {**_document(scene, settings, diagnosis), **trust, "version": __version__}
+        )
     elif not quiet:
-        _print(scene, placements, overlaps)
-    for placement, view in zip(placements, scene.views, strict=True):
-        require_overlap(placement, view, suspicion)
+        _print(scene, settings, diagnosis)
+    if apart:
+        raise apart
     return reason
-
-
-def _checked(cloud: Cloud, views: tuple[View, ...], config: RefineConfig) -> Agreement | None:
-    """With its hint checked as a refinement does it."""
-    settings = config.settings(len(views))
-    with warnings.catch_warnings(), blas.one_thread():
-        # What it warns of is said here.
-        warnings.simplefilter("ignore")
-        problem, interrupted = checked_hint(Problem.of(cloud, views, settings), settings)
-    if interrupted:
-        raise KeyboardInterrupt
-    return problem.agreement
 
 
 def camera_document(camera: Camera, source: str) -> dict[str, Any]:
     """A camera for JSON, and where it is from."""
     shape = {"model": camera.model, "width": camera.width, "height": camera.height}
-    return {
-        "source": source,
-        **shape,
-        **{name: getattr(camera, name).tolist() for name in ("K", "R", "t")},
-    }
+    arrays = {name: getattr(camera, name).tolist() for name in ("K", "R", "t")}
+    return {"source": source, **shape, **arrays}
 
 
 def verdict_document(
@@ -93,7 +70,7 @@ def verdict_document(
     verdict: str | None,
     reason: str,
     warned: list[str],
-    suspects: Sequence[Suspect],
+    suspects: list[dict[str, Any]],
 ) -> dict[str, Any]:
     """What a user of many objects looks at first."""
     return {
@@ -101,70 +78,69 @@ def verdict_document(
         "verdict": verdict,
         "reason": reason,
         "warnings": warned,
-        "suspects": [suspect._asdict() for suspect in suspects],
+        "suspects": suspects,
     }
 
 
-def _document(
-    scene: Scene, placements: list[Placement], overlaps: list[bool], judged: dict[str, Any]
-) -> dict[str, Any]:
+def _document(scene: Scene, settings: Settings, diagnosis: Diagnosis) -> dict[str, Any]:
     views = []
-    for view, source, placement, overlap in zip(
-        scene.views, scene.camera_sources, placements, overlaps, strict=True
+    for view, source, placement in zip(
+        scene.views, scene.camera_sources, diagnosis.placements, strict=True
     ):
         camera = camera_document(view.camera, source)
-        views.append(
-            {"mask": view.name, "camera": camera, "placement": vars(placement), "meets": overlap}
-        )
+        placed = {"placement": vars(placement), "meets": placement.meets}
+        views.append({"mask": view.name, "camera": camera, **placed})
+    cloud = scene.refined.cloud.controlled(settings.points, scene.views)
+    points = cloud.control_points
     return {
         "camera": views[0]["camera"],
         "frame": scene.frame,
-        "extent": (scene.moving.max(0) - scene.moving.min(0)).tolist(),
-        "outliers": _outliers(scene),
-        "moving": len(scene.moving),
+        "extent": (points.max(0) - points.min(0)).tolist(),
+        "outliers": int(cloud.outliers.sum()),
+        "moving": len(points),
         "placement": views[0]["placement"],
-        "meets": all(overlaps),
+        "meets": all(placement.meets for placement in diagnosis.placements),
         "views": views,
-        **judged,
-        "version": __version__,
     }
 
 
-def _outliers(scene: Scene) -> int:
-    return int(scene.start.outliers.sum()) if scene.start else 0
-
-
-def _print(scene: Scene, placements: list[Placement], overlaps: list[bool]) -> None:
-    size = scene.moving.max(0) - scene.moving.min(0)
-    if scene.start and scene.start.surface:
-        click.echo(
-            f"mesh        {len(scene.points):,} vertices; points sampled on its faces stand for it as a cloud"
-        )
+def _print(scene: Scene, settings: Settings, diagnosis: Diagnosis) -> None:
+    cloud = scene.refined.cloud.controlled(settings.points, scene.views)
+    size = cloud.control_points.max(0) - cloud.control_points.min(0)
+    if cloud.source.surface:
+        count = len(scene.points)
+        click.echo(f"mesh        {count:,} vertices; points sampled on its faces stand for it")
+    placements = diagnosis.placements
     for number, (view, placement) in enumerate(zip(scene.views, placements, strict=True)):
         if len(placements) > 1:
             click.echo(f"view        {number + 1} of {len(placements)}, {view.name}")
-        _print_view(view.camera, scene.camera_sources[number], size, placement, overlaps[number])
+        _print_view(view.camera, scene.camera_sources[number], size, placement)
 
 
-def _print_view(
-    camera: Camera, source: str, size: Array, placement: Placement, overlap: bool
-) -> None:
+def _print_view(camera: Camera, source: str, size: Array, placement: Placement) -> None:
     K = camera.K
-    share = 100.0 / placement.points
+    percent = 100.0 / placement.points
     depth = "all points lie behind the camera"
     if placement.depth is not None:
-        depth = f"{placement.depth[0]:.4g} to {placement.depth[1]:.4g}, {placement.behind:,} points behind the camera"
+        nearest, farthest = placement.depth
+        behind = f"{placement.behind:,} points behind the camera"
+        depth = f"{nearest:.4g} to {farthest:.4g}, {behind}"
     click.echo(
         f"camera      {camera.model}, {camera.width}x{camera.height}, from {source}\n"
-        f"            f {K[0, 0]:.4g} x {K[1, 1]:.4g} px, principal point ({K[0, 2]:.4g}, {K[1, 2]:.4g})\n"
+        f"            f {K[0, 0]:.4g} x {K[1, 1]:.4g} px, "
+        f"principal point ({K[0, 2]:.4g}, {K[1, 2]:.4g})\n"
         f"            R {camera.R.round(4).tolist()}, t {camera.t.round(4).tolist()}\n"
-        f"cloud       {placement.points:,} points, extent {size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g}\n"
+        f"cloud       {placement.points:,} points, "
+        f"extent {size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g}\n"
         f"depth       {depth}\n"
-        f"points fall {placement.inside_image:,} inside the image ({placement.inside_image * share:.0f} %), "
-        f"{placement.inside_mask:,} on the mask ({placement.inside_mask * share:.0f} %)\n"
+        f"points fall {placement.inside_image:,} inside the image "
+        f"({placement.inside_image * percent:.0f} %), {placement.inside_mask:,} on the mask "
+        f"({placement.inside_mask * percent:.0f} %)\n"
         f"mask        {describe_box(placement.mask_box)}"
     )
     if placement.points_box is not None:
         click.echo(f"silhouette  {describe_box(placement.points_box)}")
-    verdict = "they meet" if overlap else f"they do not meet (expected over {SMALLEST_BOX_IOU})"
+    verdict = (
+        "they meet" if placement.meets else f"they do not meet (expected over {LEAST_BOX_IOU})"
+    )
     click.echo(f"boxes       IoU {placement.box_iou:.3f}: {verdict}")

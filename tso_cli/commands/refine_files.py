@@ -19,11 +19,13 @@ from .options import FIT, require_output
 
 @dataclass
 class RefineInputs:
-    """What is refined, and the images it is refined with; raises InputError for options that do not go together.
+    """What is refined, and with which images.
+
+    Raises InputError for options that do not go together.
 
     source : a cloud in points mode, else a photo.
-    masks : none given takes those that the camera file names.
-    checkpoint : in the network modes the shipped one unless given.
+    masks : without any, the masks that the camera file names.
+    checkpoint : in the network modes the shipped network unless given.
     """
 
     mode: str
@@ -42,27 +44,8 @@ class RefineInputs:
     place: Placing | None
 
     def __post_init__(self) -> None:
-        if self.mode == "points":
-            self._check_points_mode()
-        else:
-            for name, count in (("MASK", len(self.masks)), ("--ignore", max(1, len(self.ignore)))):
-                if count != 1:
-                    raise InputError(
-                        f"--mode {self.mode} predicts a cloud from one photo, {name} was given {count} times, expected once"
-                    )
-        for name, files in (("--depth", self.depth), ("--image", self.image)):
-            if files and (self.mode, self.preset) != ("points", "best"):
-                raise InputError(
-                    f"{name} is for --mode points --preset best, found --mode {self.mode} --preset {self.preset}"
-                )
-        if self.depth_scale is not None and not self.depth:
-            raise InputError(
-                f"--depth-scale {self.depth_scale:g} says nothing without a depth map, expected --depth FILE"
-            )
-        if self.depth and self.fit:
-            raise InputError(
-                "--depth needs a camera whose distance is known, found --camera fit; expected a camera file"
-            )
+        self._check_mode()
+        self._check_evidence()
         self.network = None
         if self.mode != "points":
             shipped = self.checkpoint in (None, Path(DEFAULT))
@@ -71,23 +54,39 @@ class RefineInputs:
         if not self.masks:
             if self.camera is None or self.fit:
                 raise InputError(
-                    "no MASK was given, expected one or more, or --camera FILE whose views name their masks"
+                    "no MASK was given, expected one or more, or --camera FILE whose views name "
+                    "their masks"
                 )
             self.masks = tuple(named_masks(self.camera))
-        if self.assume and self.mode != "points":
-            raise InputError(
-                f"--assume is for --mode points, found --mode {self.mode}, which places its cloud itself"
-            )
+        if self.fit:
+            self._check_fit()
 
-    def _check_points_mode(self) -> None:
+    def _check_mode(self) -> None:
+        if self.mode != "points":
+            for name, count in (
+                ("MASK", len(self.masks)),
+                ("--ignore", max(1, len(self.ignore))),
+            ):
+                if count != 1:
+                    raise InputError(
+                        f"--mode {self.mode} predicts a cloud from one photo, {name} was given "
+                        f"{count} times, expected once"
+                    )
+            places = f"found --mode {self.mode}, which places its cloud before the camera itself"
+            if self.fit:
+                raise InputError(f"--camera fit is for --mode points, {places}")
+            if self.assume:
+                raise InputError(f"--assume is for --mode points, {places}")
+            return
         if self.checkpoint is not None:
             raise InputError(
-                f"--mode points moves a cloud, found --checkpoint {self.checkpoint}; expected --mode encoder or encoder-decoder"
+                f"--mode points moves a cloud, found --checkpoint {self.checkpoint}; expected "
+                "--mode encoder or encoder-decoder"
             )
         if self.source.suffix.lower() == ".safetensors":
             raise InputError(
-                f"{self.source}: is a checkpoint, --mode points expects a cloud; to refine with a network: "
-                "tso refine --mode encoder IMAGE MASK --checkpoint FILE"
+                f"{self.source}: is a checkpoint, --mode points expects a cloud; to refine with a "
+                "network: tso refine --mode encoder IMAGE MASK --checkpoint FILE"
             )
         if self.frame is not None:
             raise InputError(
@@ -95,7 +94,38 @@ class RefineInputs:
             )
         if self.place is not None:
             raise InputError(
-                "--place is for the encoder modes; points mode takes its cloud to be where the camera file has it"
+                "--place is for the encoder modes; points mode takes its cloud to be where the "
+                "camera file has it"
+            )
+
+    def _check_evidence(self) -> None:
+        for name, files in (("--depth", self.depth), ("--image", self.image)):
+            if files and (self.mode, self.preset) != ("points", "best"):
+                raise InputError(
+                    f"{name} is for --mode points --preset best, found --mode {self.mode} "
+                    f"--preset {self.preset}"
+                )
+        if self.depth_scale is not None and not self.depth:
+            raise InputError(
+                f"--depth-scale {self.depth_scale:g} says nothing without a depth map, expected "
+                "--depth FILE"
+            )
+        if self.depth and self.fit:
+            raise InputError(
+                "--depth needs a camera whose distance is known, found --camera fit; expected a "
+                "camera file"
+            )
+
+    def _check_fit(self) -> None:
+        if len(self.masks) != 1:
+            raise InputError(
+                f"--camera fit finds the camera of one mask, found {len(self.masks)} masks; "
+                "expected one, or a camera file"
+            )
+        assumptions = assumptions_of(self.assume, [str(mask) for mask in self.masks])
+        if any(assumption.hypothesis.changes_camera for assumption in assumptions):
+            raise InputError(
+                "--camera fit finds the camera by itself, expected no --assume about a camera"
             )
 
     @property
@@ -105,7 +135,7 @@ class RefineInputs:
 
     @property
     def files(self) -> list[Path]:
-        """All that are read, but for the checkpoint."""
+        """All files that are read, without the checkpoint."""
         cameras = [self.camera] if self.camera else filter(None, map(find_camera, self.masks))
         return [self.source, *self.masks, *cameras, *self.ignore, *self.depth, *self.image]
 
@@ -113,30 +143,27 @@ class RefineInputs:
         """Read everything."""
         camera = None if self.fit else self.camera
         if self.checkpoint is None:
-            views = ViewFiles(
-                *(
-                    self.masks,
-                    camera,
-                    self.invert_mask,
-                    self.ignore,
-                    self.depth,
-                    self.depth_scale or 1.0,
-                    self.image,
-                ),
-                assumptions_of(self.assume),
+            files = ViewFiles(
+                self.masks,
+                camera,
+                assume=self.assume,
+                invert=self.invert_mask,
+                ignore=self.ignore,
+                depth=self.depth,
+                depth_scale=self.depth_scale or 1.0,
+                image=self.image,
             )
-            return load_points_scene(self.source, views, self.fit)
+            return load_points_scene(self.source, files, self.fit)
         from ..scene.network import load_network_scene
 
-        ignore, world = self.ignore[0] if self.ignore else None, self.frame == "world"
         return load_network_scene(
             self.source,
             self.masks[0],
             self.checkpoint,
             camera,
             self.invert_mask,
-            ignore,
-            world,
+            self.ignore[0] if self.ignore else None,
+            self.frame == "world",
             self.place or "silhouette",
         )
 
@@ -151,7 +178,7 @@ class RefineOutputs:
     overwrite: bool
 
     def check(self, inputs: list[Path]) -> None:
-        """InputError for an output that cannot be written, or would replace another file of the command."""
+        """InputError for an output that cannot be written or would replace another file."""
         require_output(self.output, ".ply", self.overwrite)
         if self.overlay is not None:
             require_output(self.overlay, ".png", self.overwrite)
@@ -164,7 +191,8 @@ class RefineOutputs:
             others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
             if self.write_camera.resolve() in [path.resolve() for path in others]:
                 raise InputError(
-                    f"{self.write_camera}: is another file of this command, expected another name for --write-camera"
+                    f"{self.write_camera}: is another file of this command, expected another name "
+                    "for --write-camera"
                 )
 
     def write(self, result: RefineResult, scene: Scene, masks: tuple[Path, ...]) -> None:
@@ -173,11 +201,8 @@ class RefineOutputs:
             if self.overlay is not None:
                 from ..plots.overlay import draw_overlay
 
-                draw_overlay(
-                    stack.enter_context(atomic_output(self.overlay, self.overwrite)),
-                    result,
-                    scene.views,
-                )
+                picture = stack.enter_context(atomic_output(self.overlay, self.overwrite))
+                draw_overlay(picture, result, scene.views)
             if self.write_camera is not None:
                 records = [
                     CameraRecord(camera, mask)
@@ -189,6 +214,6 @@ class RefineOutputs:
             write_cloud(
                 self.output,
                 scene.to_output(result.points),
-                like=scene.cloud,
+                like=scene.file,
                 overwrite=self.overwrite,
             )

@@ -1,4 +1,4 @@
-"""`tso render`: meshes -> pictures, masks, cameras and ground truth."""
+"""`tso render`: meshes -> images, masks, cameras and point clouds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class Size(click.ParamType):
         match = re.fullmatch(r"(\d{1,6})(?:x(\d{1,6}))?", str(value))
         if match is None:
             self.fail(
-                f"{value!r} is not a size, expected pixels such as 64, or width x height such as 128x96",
+                f"{value!r} is not a size, expected pixels such as 64, "
+                "or width x height such as 128x96",
                 param,
                 ctx,
             )
@@ -39,46 +40,72 @@ class Size(click.ParamType):
 @click.command(
     "render",
     cls=options.Command,
-    headings={"split": "Meshes", "views": "Pictures", "samples": "Points", "output": "Output"},
+    headings={"split": "Meshes", "views": "Images", "samples": "Points", "output": "Output"},
 )
 @click.argument("source", metavar="MESH_OR_FOLDER", type=options.FilePath())
 @click.option(
-    "--split", type=options.FilePath(), help="Render only the meshes that this split names; .json."
+    "--split", type=options.FilePath(), help="Render only the meshes that this split (.json) names."
 )
 @click.option(
     "--part",
     type=click.Choice(["train", "validation", "test"]),
     default="train",
-    help="Which list of the split.",
+    help="List of the split to render.",
 )
 @click.option(
     "--copies",
     type=int,
     default=0,
-    help="Add so many randomly warped copies of each mesh, for training.",
+    help="Randomly warped copies to add of each mesh, for training.",
 )
 @click.option(
-    "--paint", is_flag=True, help="Random colours on the parts of each mesh, for training."
+    "--paint", is_flag=True, help="Give the parts of each mesh random colours, for training."
 )
-@click.option("--views", type=int, default=24, help="Pictures of each object.")
-@click.option("--size", type=Size(), default="64", help="Pixels, or WIDTHxHEIGHT.")
-@click.option("--elevation", type=float, nargs=2, default=(-5, 40), help="Range in degrees.")
+@click.option("--views", type=int, default=24, help="Images of each mesh.")
 @click.option(
-    "--azimuth", type=float, nargs=2, default=(0, 360), help="Range in degrees; 0 looks from +z."
+    "--size", type=Size(), default="64", help="Size of the images: a side, or WIDTHxHEIGHT."
 )
-@click.option("--samples", type=int, default=16384, help="Points sampled from the surface.")
-@click.option("--points", type=int, default=1024, help="How many of them the target keeps.")
 @click.option(
-    "-o", "--output", type=options.FilePath(), required=True, help="Folder to write NAME/... into."
+    "--elevation",
+    type=float,
+    nargs=2,
+    metavar="FROM TO",
+    default=(-5, 40),
+    help="Range of the camera's elevation, degrees.",
+)
+@click.option(
+    "--azimuth",
+    type=float,
+    nargs=2,
+    metavar="FROM TO",
+    default=(0, 360),
+    help="Range of the camera's azimuth, degrees. At 0 the camera looks from +z.",
+)
+@click.option(
+    "--samples", type=int, default=16384, help="Points to sample from the surface of each mesh."
+)
+@click.option(
+    "--points",
+    type=int,
+    default=1024,
+    help="Points to keep of these samples as ground truth, evenly spread.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=options.FilePath(),
+    required=True,
+    help="Folder to write to, a subfolder for each mesh.",
 )
 @options.overwrite
 @options.seed
 @options.as_json
 def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any) -> None:
-    """Render a mesh, or all meshes of a folder: pictures, masks, cameras and ground truth.
+    """Render a mesh, or all meshes of a folder: images, masks, cameras and point clouds.
 
-    Every mesh is centred and scaled to longest side 1. Textures are read from its folder, the rendered folder and those below.
-    Views are random, reproducible from the seed. Started again after an interruption, the command skips what is rendered.
+    Every mesh is centred and scaled to longest side 1. Textures are looked for in the folder of the
+    mesh, and in MESH_OR_FOLDER with its subfolders. Views are random; the same seed gives the same
+    views. After an interruption, run the same command again: it skips meshes that are rendered.
     """
     settings = options.pick(RenderSettings, chosen)
     names = None if chosen["split"] is None else read_part(chosen["split"], chosen["part"])
@@ -96,8 +123,9 @@ def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any)
     else:
         width, height = settings.size
         click.echo(
-            f"{len(summary.written)} objects rendered into {output} ({settings.views} views of {width}x{height} and "
-            f"{settings.points} points of {settings.samples} each, seed {seed})"
+            f"{len(summary.written)} objects rendered into {output} ({settings.views} views of "
+            f"{width}x{height} and {settings.points} points of {settings.samples} each, "
+            f"seed {seed})"
         )
     if summary.failed:
         raise InputError(

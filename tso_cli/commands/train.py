@@ -1,4 +1,4 @@
-"""`tso train`: parse, call, print."""
+"""`tso train`: train the network that predicts a cloud from a photo."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 PATH = options.FilePath()
 DEFAULTS = {"steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0}
-# Without DATA: about two minutes on two cores, at a rate that suits so few steps (both measured).
+# Without DATA: about two minutes on two cores, with a rate that suits 600 steps (both measured).
 EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
-# Options that serve only some supervisions.
+# Option -> the only supervisions that use it.
 SERVES = {
     **dict.fromkeys(
         ("affinity_weight", "affinity", "saturation_steps", "category_sigma_sq"), ("masks", "joint")
@@ -40,6 +40,29 @@ HEADINGS = {
     "output": "Output",
     "device": "Running",
 }
+
+
+# The options that --help shows.
+BRIEF = (
+    "split_file",
+    "categories",
+    "augment",
+    "supervision",
+    "initial",
+    "steps",
+    "batch_size",
+    "output",
+    "overwrite",
+    "resume",
+    "log_file",
+    "as_json",
+    "device",
+)
+
+
+def _default(name: str) -> str:
+    """The defaults of an option that has another one without DATA, for its help."""
+    return f"[default: {DEFAULTS[name]:g}; {EXAMPLE_DEFAULTS[name]:g} without DATA]"
 
 
 class CategoryValue(click.ParamType):
@@ -61,7 +84,7 @@ class CategoryValue(click.ParamType):
 
 @dataclass
 class TrainOutputs:
-    """What a training writes, and whether it goes on from what is there."""
+    """The files that a training writes, and whether it continues an earlier training."""
 
     output: Path
     log_file: Path | None
@@ -80,29 +103,42 @@ class TrainOutputs:
             check_output(self.log_file, replace_files)
             if self.log_file.resolve() in (self.output.resolve(), state.resolve()):
                 raise InputError(
-                    f"--log-file {self.log_file}: is the checkpoint or its state, expected a file of its own"
+                    f"--log-file {self.log_file}: is the checkpoint or its state, "
+                    "expected a file of its own"
                 )
 
     def save(self, state: TrainingState, config: NetworkConfig) -> None:
-        """Write checkpoint, state and log; the first time InputError where a file has appeared since `check`."""
+        """Write checkpoint, state and log.
+
+        The first call raises InputError if one of the files has appeared since `check`.
+        """
         from ..train.state import save_training, write_history
 
         self.check()
         save_training(self.output, state, config, self.overwrite or self.resume)
         if self.log_file is not None:
             write_history(self.log_file, state.history, config, self.overwrite or self.resume)
-        self.overwrite = True  # now they are our own
+        self.overwrite = True  # from now on the files are our own
 
 
-@click.command("train", cls=options.Command, headings=HEADINGS)
+@click.command("train", cls=options.Command, headings=HEADINGS, brief=BRIEF)
 @click.argument("data", required=False, type=PATH)
 @click.option(
-    "--split", "split_file", type=PATH, help='Train only on the objects in its list "train".'
+    "--split",
+    "split_file",
+    type=PATH,
+    help='Train only on the objects in the list "train" of this split (.json).',
 )
 @click.option(
-    "--category", "categories", multiple=True, help="Train only on this category; may be repeated."
+    "--category",
+    "categories",
+    multiple=True,
+    metavar="NAME",
+    help="Train only on this category. May be repeated.",
 )
-@click.option("--strict", is_flag=True, help="Stop at unusable data instead of skipping them.")
+@click.option(
+    "--strict", is_flag=True, help="Stop at the first unusable file instead of skipping it."
+)
 @click.option(
     "--balance",
     is_flag=True,
@@ -112,119 +148,144 @@ class TrainOutputs:
     "--crop-share",
     type=float,
     default=0.9,
-    help="Side of the object relative to the input's; clouds have longest side 1. 0: pictures and clouds keep their sizes.",
+    help="Crop each picture so that the object's longer side takes this share of it, and scale "
+    "clouds to longest side 1. 0: objects and clouds keep their sizes.",
 )
 @click.option(
     "--background",
     type=click.Choice(["black", "white", "keep"]),
     default="black",
-    help="Background of the input.",
+    help="Background of the pictures.",
 )
 @click.option(
     "--backgrounds",
     "behind",
     metavar="FOLDER|textures",
-    help="Put the objects on crops of these photos, or on generated textures; with --background keep.",
+    help="Put the objects on crops of the photos in FOLDER, or on generated textures; needs "
+    "--background keep.",
 )
 @click.option("--augment", is_flag=True, help="Mirror and recolour the pictures at random.")
 @click.option(
     "--supervision",
     type=click.Choice(["points", "masks", "joint"]),
     default="points",
-    help="Loss: Chamfer distance to the true points, masks through the projector, or both (with --mask-data).",
+    help="What the loss compares with: the true points, masks, or both (needs --mask-data).",
 )
 @click.option(
     "--views",
     type=int,
     default=4,
-    help="Supervising masks of each object in a step, for --supervision masks.",
+    help="Masks to compare each object with in a step, for --supervision masks.",
 )
-@click.option("--mask-data", type=PATH, help="Images with one mask each, for --supervision joint.")
 @click.option(
-    "--mask-split", type=PATH, help='Of --mask-data take only the list "train" of this split.'
+    "--mask-data",
+    type=PATH,
+    help="Data set of images with one mask each, for --supervision joint.",
+)
+@click.option(
+    "--mask-split",
+    type=PATH,
+    help='Take from --mask-data only the list "train" of this split (.json).',
 )
 @click.option(
     "--lambda",
     "affinity_weight",
     type=float,
     default=1.0,
-    help="Weight of the affinity loss; x0.02 after saturation.",
+    help="Weight of the affinity loss. Once the loss saturates, the weight drops to 2 % of this.",
 )
 @click.option(
     "--affinity",
     type=click.Choice(["points", "paper"]),
     default="points",
-    help="Form of the affinity loss.",
+    help="Form of the affinity loss: between points and mask, or the paper's, between pairs of "
+    "pixels.",
 )
 @click.option(
     "--saturation-steps",
     type=int,
-    help="Lambda drops once the mean loss over so many steps is not 1 % below that of as many before.  [default: a sixth of "
-    "--steps, 10 to 500]",
+    help="The loss is saturated if its mean over this number of steps is less than 1 % below the "
+    "mean over as many steps before.  [default: a sixth of --steps, 10 to 500]",
 )
 @click.option(
     "--sigma-sq",
     type=float,
     default=0.4,
-    help="Variance of the projector's Gaussian, px^2 of the 64x64 mask.",
+    help="Variance of the projector's Gaussian, px^2 of a 64x64 mask.",
 )
 @click.option(
     "--category-sigma-sq",
     multiple=True,
     type=CategoryValue(),
-    help="The same for one category; repeatable.",
+    help="Another --sigma-sq for one category. May be repeated.",
 )
 @click.option("--points", type=int, default=1024, help="Points of the predicted cloud.")
 @click.option(
     "--frame",
     type=click.Choice(["view", "canonical"]),
     default="view",
-    help="Axes: the camera's or the object's.",
+    help="Axes of the predicted cloud: the camera's (view) or the object's (canonical).",
 )
 @click.option(
     "--init",
     "initial",
     type=PATH,
-    help="Start from the weights of this checkpoint; `default` is the shipped one.  [default: random weights]",
+    help="Start from the weights of this checkpoint, or of the shipped one (`default`).  "
+    "[default: random weights]",
 )
-@click.option("--steps", type=int, help="Adam steps in all.  [default: 20000; 600 without DATA]")
+@click.option("--steps", type=int, help=f"Optimiser steps in all.  {_default('steps')}")
 @click.option("--batch-size", type=int, default=16, help="Objects in a step.")
-@click.option("--learning-rate", type=float, help="Of Adam.  [default: 5e-05; 0.0003 without DATA]")
+@click.option(
+    "--learning-rate",
+    type=float,
+    help=f"Learning rate of Adam.  {_default('learning_rate')}",
+)
 @click.option(
     "--averaging",
     type=float,
-    help="Save the moving average of the weights, of this decay; 0: the last weights.  [default: 0; 0.99 without DATA]",
+    help="Save the moving average of the weights with this decay. 0: save the last weights.  "
+    f"{_default('averaging')}",
 )
 @click.option(
     "--precision",
     type=click.Choice(["float32", "bfloat16"]),
     default="float32",
-    help="bfloat16: mixed precision.",
+    help="Number format of the network's layers; bfloat16 is mixed precision.",
 )
 @click.option(
-    "-o", "--output", type=PATH, default=Path("base.safetensors"), help="Checkpoint to write."
+    "-o",
+    "--output",
+    type=PATH,
+    default=Path("base.safetensors"),
+    help="Checkpoint to write (.safetensors).",
 )
 @options.overwrite
 @click.option(
     "--checkpoint-every",
-    type=click.IntRange(min=0),
+    type=options.Whole(0),
     default=500,
-    help="Save after so many steps; 0: at the end.",
+    help="Save after every N steps; 0: only at the end.",
 )
-@click.option("--resume", is_flag=True, help="Go on from the state beside the checkpoint.")
-@click.option("--log-file", type=PATH, help="Settings and losses of every step, .jsonl.")
+@click.option("--resume", is_flag=True, help="Continue the training that --output belongs to.")
+@click.option(
+    "--log-file", type=PATH, help="File for the settings and the losses of every step (.jsonl)."
+)
 @options.as_json
 @options.device
 @options.seed
 @click.option("--workers", type=int, default=1, help="Threads that prepare batches ahead.")
 @click.pass_context
 def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
-    """Train the network that predicts a cloud from a photo, for `tso refine --mode encoder` and `encoder-decoder`.
+    """Train the network that predicts a cloud from a photo, for the network modes of `tso refine`.
 
-    DATA is a folder that `tso render` wrote, or ShapeNet, 3D-R2N2 or Pix3D as they are distributed. Without it the shipped
-    example meshes are rendered and trained on for about two minutes. The state of the training lies beside the checkpoint
-    (NAME.training.safetensors) for --resume; Ctrl-C finishes the step at hand and writes both. Several processes:
-    torchrun --nproc-per-node N -m tso_cli train ...
+    DATA is a folder that `tso render` wrote, or ShapeNet, 3D-R2N2 or Pix3D as they are distributed.
+    Without DATA, the shipped example meshes are rendered, and training on them takes about two
+    minutes.
+
+    The state of the training is stored next to the checkpoint, as NAME.training.safetensors, for
+    --resume. Ctrl-C finishes the current step and writes both files.
+
+    To train with several processes: torchrun --nproc-per-node N -m tso_cli train ...
     """
     from ..train import TrainConfig, train
     from ..train.processes import joined
@@ -286,7 +347,8 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     } | left_out
     if left_out:
         options.log(
-            f"tso: {len(left_out)} pictures could not be used and were left out (--strict stops at the first)"
+            f"tso: {len(left_out)} pictures could not be used and were left out "
+            "(--strict stops at the first)"
         )
     if as_json:
         options.echo_json(document)
@@ -294,14 +356,14 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         print_summary(document)
     if result.stop_reason == "interrupted":
         options.log(
-            f"tso: interrupted after {result.steps} of {config.steps} steps; {outputs.output} and its state were written. "
-            "Run the same command with --resume to go on"
+            f"tso: interrupted after {result.steps} of {config.steps} steps; {outputs.output} and "
+            "its state were written. Run the same command with --resume to continue"
         )
         ctx.exit(130)
 
 
 def _check_supervision(ctx: click.Context, supervision: str, mask_data: Path | None) -> None:
-    """InputError for options that the supervision needs or has no use for."""
+    """InputError if the supervision lacks an option that it needs, or has one that it ignores."""
     if (supervision == "joint") != (mask_data is not None):
         expected = "--mask-data FOLDER with it" if mask_data is None else "joint with --mask-data"
         raise InputError(f"--supervision is {supervision}, expected {expected}")
@@ -310,7 +372,8 @@ def _check_supervision(ctx: click.Context, supervision: str, mask_data: Path | N
         used = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
         if used and supervision not in SERVES.get(name, (supervision,)):
             raise InputError(
-                f"{option.opts[0]} is for --supervision {' or '.join(SERVES[name])}, found {supervision}"
+                f"{option.opts[0]} is for --supervision {' or '.join(SERVES[name])}, "
+                f"found {supervision}"
             )
 
 
@@ -321,7 +384,7 @@ def _initial_state(
     initial: Path | None,
     quiet: bool,
 ) -> TrainingState:
-    """The state beside the checkpoint to resume from, or a new one."""
+    """The state next to the checkpoint to resume from, or a new state."""
     from .. import device as devices
     from ..io.checkpoints import load_network
     from ..io.shipped import named_checkpoint
@@ -332,7 +395,8 @@ def _initial_state(
         return start(data, config, load_network(named_checkpoint(initial))[0] if initial else None)
     if initial is not None:
         raise InputError(
-            "--init with --resume: the state to resume has weights of its own, expected one of the two"
+            "--init with --resume: the state to resume has weights of its own, "
+            "expected one of the two"
         )
     about = network_config(data, config, 0)
     state = load_training(outputs.output, about, data.fingerprint(), devices.resolve(config.device))

@@ -32,7 +32,10 @@ def training_document(
     training: TrainingData,
     on_examples: bool,
 ) -> dict[str, Any]:
-    """Evaluate the network, if ``on_examples`` on the shipped pictures too; the JSON document without times and failures."""
+    """Evaluate the network: the JSON document, without times and failures.
+
+    With ``on_examples`` the network is evaluated on the shipped pictures too.
+    """
 
     def measure(data: TrainingData) -> dict[str, float | int]:
         forward, backward, shapes = evaluate(result.network, data, config.frame)
@@ -52,16 +55,20 @@ def training_document(
         "lambda_dropped_at": result.lambda_dropped_at,
         "training_set": training.description,
     }
-    # A data set for supervision by masks may have no 3D file.
+    # A data set for supervision by masks may have no 3D file at all.
     if (chamfer := measure(training))["shapes"]:
         document["chamfer_training"] = chamfer
-    document["objects"], document["not_judged"] = len(training.objects), dict(training.not_judged)
+    document["objects"], document["not_judged"] = (
+        len(training.objects),
+        dict(training.not_evaluated),
+    )
     if on_examples:
         document["chamfer_unseen_examples"] = measure(
             shipped_examples(training.crop_share, training.background)
         )
     return document | {
-        "convention": f"squared distances, mean over points, {training.scale}; forward is target -> prediction",
+        "convention": f"squared distances, mean over points, {training.scale}; "
+        "forward is target -> prediction",
         "scale": training.scale,
         **{name: getattr(config, name) for name in FROM_CONFIG},
         "version": __version__,
@@ -69,16 +76,17 @@ def training_document(
 
 
 def unusable(sets: list[TrainingData]) -> dict[str, str]:
-    """Every picture that could not be used -> why."""
+    """Each picture that could not be used -> the reason."""
     backgrounds = sets[0].backgrounds.unusable if sets[0].backgrounds else {}
     return {item: why for data in sets for item, why in data.unusable.items()} | backgrounds
 
 
 def print_summary(document: dict[str, Any]) -> None:
-    """For people."""
+    """Print the document for people."""
     seconds, speed = document["seconds"], document["images_per_second"]
     click.echo(
-        f"{document['output']}: {document['steps']} steps in {seconds['train']:.0f} s, {document['training_set']}"
+        f"{document['output']}: {document['steps']} steps in {seconds['train']:.0f} s, "
+        f"{document['training_set']}"
     )
     for key, label in (
         ("chamfer_training", "training shapes"),
@@ -94,13 +102,16 @@ def print_summary(document: dict[str, Any]) -> None:
             )
     if document["not_judged"]:
         click.echo(
-            f"{len(document['not_judged'])} of {document['objects']} objects have no 3D file to judge by (--json names them)"
+            f"{len(document['not_judged'])} of {document['objects']} objects have no 3D file "
+            "and were not evaluated (--json names them)"
         )
     click.echo(
-        f"{speed['training']:.0f} images/s in training; a step without the optimiser {speed['step']:.0f}, the bare network's "
-        f"forward and backward {speed['bare']:.0f}: data, projector and losses add {round(100.0 * speed['added'])} %"
+        f"{speed['training']:.0f} images/s in training; "
+        f"{speed['step']:.0f} images/s in a step without the optimiser; "
+        f"{speed['bare']:.0f} images/s in the network alone, forward and backward "
+        f"(data, projector and losses add {round(100.0 * speed['added'])} % to its time)"
     )
     click.echo(
-        f"(squared distances, mean over points, {document['scale']}; N {document['points']}, seed {document['seed']}, "
-        f"sigma^2 {document['sigma_sq']:g}, {document['device']})"
+        f"(squared distances, mean over points, {document['scale']}; N {document['points']}, "
+        f"seed {document['seed']}, sigma^2 {document['sigma_sq']:g}, {document['device']})"
     )

@@ -1,4 +1,4 @@
-"""The training data that a command works on."""
+"""The data sets of `tso train` and `tso curves`, as their options choose them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,23 @@ from ..train.data import TrainingData
 from ..train.sources import from_meshes
 from .options import ProgressBar, log
 
-# Of the skipped items so many are named on stderr.
+# At most this number of skipped items is named on stderr.
 NAMED = 10
 
 
 @dataclass(frozen=True)
 class DataSelection:
-    """Which objects of which data set, and how their pictures are prepared.
+    """A choice of objects from a data set, and how their pictures are prepared.
 
+    Parameters
+    ----------
     data : folder of the data set; None renders the shipped example meshes.
-    split_file : take its list ``part``. categories : empty takes all. points : skip objects without a 3D file.
-    strict : stop at what cannot be used instead of skipping it.
-    crop_share, background : of `network_input`. behind : folder of photos, or "textures", to put the objects on.
+    split_file, part : take only the objects in the list ``part`` of the split.
+    categories : take only these; empty takes all.
+    strict : stop at the first unusable item instead of skipping it.
+    crop_share, background : see `network_input`.
+    behind : folder of photos, or "textures", to put the objects on.
+    points : skip objects without a 3D file.
     """
 
     data: Path | None
@@ -45,7 +50,7 @@ class DataSelection:
 
 
 def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
-    """Open the data set, or render the shipped meshes; name skipped items on stderr."""
+    """Open the data set, or render the shipped meshes; skipped items are named on stderr."""
     if selection.data is None:
         if selection.split_file is not None or selection.categories or selection.behind is not None:
             raise InputError(
@@ -64,7 +69,8 @@ def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
         for item, reason in list(dataset.skipped.items())[:NAMED]:
             log(f"tso: {reason if item in reason else f'{item}: {reason}'}; left out")
         log(
-            f"tso: {len(dataset.skipped)} items left out in all (--strict stops at the first, --json names all)"
+            f"tso: {len(dataset.skipped)} items left out in all "
+            "(--strict stops at the first, --json names all)"
         )
     backgrounds = (
         None if selection.behind is None else Backgrounds(selection.behind, selection.strict)

@@ -1,4 +1,4 @@
-"""What the readers of data sets share: lazy views, tables of cameras, targets, and a list of what was left out."""
+"""What the readers of data sets share: lazy views, tables of cameras, targets, skipped objects."""
 
 from __future__ import annotations
 
@@ -16,33 +16,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Floats, Indices, Pixels
 from ..geometry.camera import Camera
-from ..geometry.points import Array, farthest_point_sample, sample_surface
+from ..geometry.points import farthest_point_sample, sample_surface
 from ..io.clouds import read_cloud
 from ..io.images import read_image, read_mask
 from ..io.output import reason
 from ..io.reading import read_bytes, shown
-from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
+from .items import Dataset, ObjectItem, ViewItem
 
-Targets = tuple[Path, str, Callable[[str], Floats]]
-"""The folder that has SYNSET/MODEL/FILE, FILE, and what reads it."""
-View = Callable[[Path, str, list[float], tuple[int, int]], ViewItem]
-
+# As in the paper: points to draw from a surface, and the points that farthest-point sampling keeps.
 SAMPLES, POINTS = 16384, 1024
-"""Points drawn from a surface, and how many of them farthest-point sampling keeps, as in the paper."""
 CLOUD_FOLDERS = ("ShapeNet_pcl", "ShapeNet_v1_pcl")
 CLOUD = "pcl_1024_fps_trimesh.npy"
-# ShapeNet numbers its categories by WordNet; these are the 13 that the rendered sets have.
+# ShapeNet numbers its categories as WordNet does. The rendered data sets have these 13.
 SYNSETS = {
-    "02691156": "airplane", "02828884": "bench", "02933112": "cabinet", "02958343": "car", "03001627": "chair",
-    "03211117": "display", "03636649": "lamp", "03691459": "speaker", "04090263": "rifle", "04256520": "sofa",
-    "04379243": "table", "04401088": "telephone", "04530566": "watercraft",
+    "02691156": "airplane", "02828884": "bench", "02933112": "cabinet", "02958343": "car",
+    "03001627": "chair", "03211117": "display", "03636649": "lamp", "03691459": "speaker",
+    "04090263": "rifle", "04256520": "sofa", "04379243": "table", "04401088": "telephone",
+    "04530566": "watercraft",
 }  # fmt: skip
-_TABLE_LIMIT = 1 << 24
+TABLE_LIMIT = 1 << 24  # bytes of a text file with the cameras or names of one object
 
 
 class LazyViews(Sequence[ViewItem]):
-    """``count`` views that ``build`` makes when they are asked for: a data set may have a million pictures."""
+    """``count`` views; ``build`` makes a view when it is needed.
+
+    A data set may have a million pictures.
+    """
 
     __slots__ = ("_build", "_count")
 
@@ -57,7 +58,7 @@ class LazyViews(Sequence[ViewItem]):
 
 
 class Skipped:
-    """Collects what is left out; with ``strict`` the first such thing is an InputError."""
+    """Collects what is left out, and why; with ``strict`` it raises InputError instead."""
 
     def __init__(self, strict: bool) -> None:
         self.strict = strict
@@ -72,20 +73,20 @@ class Skipped:
 def finished(
     objects: list[ObjectItem], description: str, skipped: Skipped, expected: str
 ) -> Dataset:
-    """The data set; InputError saying what was ``expected`` if it has no object."""
+    """The data set; InputError, which says what was ``expected``, if it has no object."""
     if not objects:
-        first = next(iter(skipped.reasons.values()), None)
-        what = (
-            f"no object can be used, the first: {first}"
-            if first
-            else f"holds no object, expected {expected}"
-        )
-        raise InputError(f"{description}: {what}")
+        reasons = list(skipped.reasons.values())
+        if reasons:
+            raise InputError(f"{description}: no object can be used, the first: {reasons[0]}")
+        raise InputError(f"{description}: holds no object, expected {expected}")
     return Dataset(sorted(objects, key=lambda item: item.name), description, skipped.reasons)
 
 
 def listed(folder: Path) -> tuple[list[str], set[str]]:
-    """Names of the folders, sorted, and of the files in ``folder``; hidden ones are left out. InputError if unreadable."""
+    """The names of the folders (sorted) and of the files in ``folder``, without hidden ones.
+
+    Raises InputError if the folder cannot be read.
+    """
     try:
         with os.scandir(folder) as entries:
             kinds = {
@@ -95,43 +96,51 @@ def listed(folder: Path) -> tuple[list[str], set[str]]:
         raise InputError(
             f"{folder}: cannot be listed ({reason(error)}), expected a folder"
         ) from None
-    return sorted(name for name in kinds if kinds[name]), {
-        name for name in kinds if not kinds[name]
-    }
+    folders = sorted(name for name, is_folder in kinds.items() if is_folder)
+    return folders, kinds.keys() - set(folders)
 
 
 class Picture(NamedTuple):
     """A picture of a model."""
 
     file: str
-    row: Array  # of the table of cameras, [1, columns]
-    problem: str  # why it cannot be used, "" if it can
-    measured: str  # the file whose size is that of the view
+    row: Array  # [1, columns], the picture's row in the table of cameras
+    problem: str  # why the picture cannot be used, "" if it can
+    sized_by: str  # the file whose size is the size of the view
+
+
+class Targets(NamedTuple):
+    """Where the points of models are: the files ``folder``/SYNSET/MODEL/``file``."""
+
+    folder: Path
+    file: str
+    read: Callable[[str], Floats]  # path -> points
 
 
 @dataclass(frozen=True)
 class ModelLayout:
-    """A layout with the pictures of each model in SYNSET/MODEL.
+    """A layout of folders that has the pictures of each model in SYNSET/MODEL.
 
-    pictures : those in the folder of a model; InputError where the model cannot be used.
-    view : from that folder, the file of a picture, its row and the size (width, height).
+    pictures : folder of a model -> its pictures; InputError if the model cannot be used.
+    view : folder of a model, file of a picture, its row, size (width, height) -> the view.
     """
 
     title: str
     expected: str
     pictures: Callable[[Path], list[Picture]]
-    view: View
-    inside: str = ""  # folder inside that of the model
-    not_a_category: str = ""  # a folder beside the categories
+    view: Callable[[Path, str, list[float], tuple[int, int]], ViewItem]
+    subfolder: str = ""  # folder inside the model's folder that has the pictures
+    not_a_category: str = ""  # a folder that is where the categories are
 
 
 def open_models(
     name: str, folder: Path, layout: ModelLayout, targets: Targets | None, strict: bool
 ) -> Dataset:
-    """The data set ``name`` of the models in ``folder``; what cannot be used is skipped, or an error with ``strict``.
+    """The data set ``name`` of the models in ``folder``.
 
-    All pictures of a category have the size of its first that can be read: no other is opened here. A model without its 3D
-    file keeps its views: masks can teach it.
+    What cannot be used is skipped; with ``strict`` it is an InputError. All pictures of a category
+    must have the size of the category's first readable picture: no other picture is opened here. A
+    model without its 3D file keeps its views, since masks are enough to train on.
     """
     skipped, objects = Skipped(strict), []
     for category in listed(folder)[0]:
@@ -139,11 +148,12 @@ def open_models(
         models = listed(folder / category)[0] if category != layout.not_a_category else []
         for model in (f"{category}/{model}" for model in models):
             try:
-                usable[model] = _usable(model, folder / model / layout.inside, layout, skipped)
+                place = folder / model / layout.subfolder
+                usable[model] = _usable(model, place, layout, skipped)
             except InputError as error:
                 skipped.add(model, str(error))
         size = _first_size(
-            folder / model / layout.inside / picture.measured
+            folder / model / layout.subfolder / picture.sized_by
             for model in usable
             for picture in usable[model]
         )
@@ -151,15 +161,11 @@ def open_models(
             if size is None:
                 skipped.add(model, f"{folder / model}: no picture of the category can be read")
                 continue
-            # The same few names in every folder: one string each.
-            files, rows = (
-                [sys.intern(picture.file) for picture in pictures],
-                np.concatenate([p.row for p in pictures]),
-            )
-            build = partial(
-                _view, layout.view, str(folder / model / layout.inside), files, rows, size
-            )
-            views = LazyViews(len(files), build)
+            # Every folder has the same few names: interned, each of them is stored once.
+            files = [sys.intern(picture.file) for picture in pictures]
+            rows = np.concatenate([picture.row for picture in pictures])
+            place = folder / model / layout.subfolder
+            views = LazyViews(len(files), partial(_view, layout, str(place), files, rows, size))
             objects.append(
                 ObjectItem(model, SYNSETS.get(category, category), views, *_target(model, targets))
             )
@@ -179,31 +185,40 @@ def _usable(model: str, folder: Path, layout: ModelLayout, skipped: Skipped) -> 
 
 
 def _view(
-    view: View, folder: str, files: list[str], rows: Array, size: tuple[int, int], index: int
+    layout: ModelLayout,
+    folder: str,
+    files: list[str],
+    rows: Array,
+    size: tuple[int, int],
+    index: int,
 ) -> ViewItem:
-    return view(Path(folder), files[index], rows[index].tolist(), size)
+    return layout.view(Path(folder), files[index], rows[index].tolist(), size)
 
 
 def _target(model: str, targets: Targets | None) -> tuple[Callable[[], Floats] | None, str]:
-    """What reads the points of a model, or None and, if it should have them, which file is missing."""
+    """``target`` and ``lacking`` of the `ObjectItem` of a model."""
     if targets is None:
         return None, ""
-    folder, file, read = targets
-    path = folder / model / file
+    path = targets.folder / model / targets.file
     if not path.is_file():
         return None, f"{path}: does not exist, expected the shape of this object"
-    return partial(read, str(path)), ""
+    return partial(targets.read, str(path)), ""
 
 
-def clouds_beside(pictures: Path) -> Targets | None:
-    """The point clouds that stand beside the folder of the pictures, if there are any."""
-    folders = (pictures.parent / name for name in CLOUD_FOLDERS)
-    return next(((folder, CLOUD, cloud_target) for folder in folders if folder.is_dir()), None)
+def find_clouds(pictures: Path) -> Targets | None:
+    """The point clouds in a folder next to the folder ``pictures``, if there are any."""
+    for name in CLOUD_FOLDERS:
+        if (folder := pictures.parent / name).is_dir():
+            return Targets(folder, CLOUD, cloud_target)
+    return None
 
 
 def read_table(path: Path, least: int, most: int, what: str) -> Array:
-    """A text file of numbers, ``least`` to ``most`` a line: [rows, most], with NaN for those that a line lacks."""
-    text = read_bytes(path, what, limit=_TABLE_LIMIT).decode("utf-8", "replace")
+    """A text file with ``least`` to ``most`` numbers per line: [rows, most], NaN if one is missing.
+
+    Raises InputError, which says ``what`` the numbers are, if the file is anything else.
+    """
+    text = read_bytes(path, what, limit=TABLE_LIMIT).decode("utf-8", "replace")
     rows = []
     for number, line in enumerate(text.rstrip().splitlines(), 1):
         words = line.split()[:most]
@@ -224,7 +239,7 @@ def read_table(path: Path, least: int, most: int, what: str) -> Array:
 
 
 def _first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
-    """Width and height of the first picture that can be read, None if none can."""
+    """Width and height of the first picture that can be read; None if none can be read."""
     for path in paths:
         with suppress(InputError):
             height, width = read_image(path).shape[:2]
@@ -233,7 +248,10 @@ def _first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
 
 
 def require_size(path: Path, pixels: NDArray[np.generic], camera: Camera, expected: str) -> None:
-    """Raise InputError unless ``pixels`` [H, W, ...], read from ``path``, are of the camera's size; ``expected`` says why."""
+    """Raise InputError unless ``pixels`` [H, W, ...], read from ``path``, have the camera's size.
+
+    ``expected`` says where that size comes from, such as "as the first picture".
+    """
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(
@@ -244,15 +262,15 @@ def require_size(path: Path, pixels: NDArray[np.generic], camera: Camera, expect
 def load_pair(
     image_path: Path, mask_path: Path, camera: Camera, expected: str
 ) -> tuple[Pixels, Floats]:
-    """Image [H, W, 3] and mask [H, W] of two files; InputError unless both are of the camera's size."""
+    """Image [H, W, 3] and mask [H, W] in two files; InputError as `require_size`."""
     image, mask = read_image(image_path)[..., :3], read_mask(mask_path)
     require_size(image_path, image, camera, expected)
     require_size(mask_path, mask, camera, expected)
     return image, mask
 
 
-def surface_target(vertices: Array, faces: NDArray[np.int64]) -> Floats:
-    """POINTS points spread over a surface, the same ones each time: [POINTS, 3]."""
+def surface_target(vertices: Array, faces: Indices) -> Floats:
+    """Points [POINTS, 3] spread over a surface; each call returns the same points."""
     samples = sample_surface(vertices, faces, SAMPLES, np.random.default_rng(0))
     return samples[farthest_point_sample(samples, POINTS)].astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""What every reader of a data set gives: objects, their views, and what could not be used."""
+"""What every reader of a data set returns: objects, their views, and what could not be used."""
 
 from __future__ import annotations
 
@@ -6,14 +6,9 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..errors import InputError
+from ..geometry.arrays import Floats, Pixels
 from ..geometry.camera import Camera
-
-Pixels = NDArray[np.uint8]
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +16,8 @@ class ViewItem:
     """One picture of an object.
 
     camera : from the object's own frame to the pixels of image and mask.
-    load : gives image [H, W, 3] and mask [H, W] in [0, 1], both of the camera's size; InputError if they cannot be read.
+    load : returns the image [H, W, 3] and the mask [H, W] in [0, 1], both of the camera's size;
+        raises InputError if they cannot be read.
     """
 
     name: str
@@ -33,10 +29,13 @@ class ViewItem:
 class ObjectItem:
     """One shape.
 
-    name : unique in its data set, CATEGORY/NAME as a rule. category : "" where the data set knows none.
+    name : unique in its data set, usually CATEGORY/NAME.
+    category : "" if the data set has no categories.
     views : at least one.
-    target : gives points of the surface [P, 3] in the object's own frame; None where there is no such file.
-    lacking : one line naming the 3D file that is missing, where other objects of the data set have theirs.
+    target : returns points of the surface [P, 3] in the object's own frame; None if there is no 3D
+        file.
+    lacking : if other objects of the data set have a 3D file and this one does not, a line that
+        names the missing file.
     """
 
     name: str
@@ -48,17 +47,18 @@ class ObjectItem:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Objects that can be used, sorted by name, and why the others cannot."""
+    """Objects that can be used, sorted by name, and why the others cannot be used."""
 
     objects: Sequence[ObjectItem]
     description: str  # stored in checkpoints
     skipped: dict[str, str] = field(default_factory=dict)  # item -> why it was left out
-    scale: str = "longest side 1"  # that of all clouds and cameras, in words
+    scale: str = "longest side 1"  # the scale of all clouds and cameras, in words
 
     def select(self, names: Sequence[str], source: str) -> Dataset:
-        """The objects that the split in the file ``source`` names, with their warped copies (NAME~0001 and so on).
+        """The objects with these ``names`` and their warped copies (NAME~0001 and so on).
 
-        Raises InputError if it names an object that is neither here nor skipped.
+        Raises InputError, which begins with ``source``, the file with the names, if a name is
+        neither an object nor skipped.
         """
         listed = set(names)
         chosen = [item for item in self.objects if original(item.name) in listed]
@@ -75,7 +75,10 @@ class Dataset:
         return replace(self, objects=chosen)
 
     def with_points(self, strict: bool = False) -> Dataset:
-        """The objects that have a 3D file, or all if none has; the others are skipped, with ``strict`` an InputError."""
+        """The objects that have a 3D file; all objects if none of them has.
+
+        The other objects are skipped; with ``strict`` they are an InputError.
+        """
         chosen = [item for item in self.objects if item.target is not None]
         if not chosen:
             return self
@@ -86,10 +89,10 @@ class Dataset:
 
 
 def copied(name: str, copy: int) -> str:
-    """Name of the warped copy number ``copy`` of an object, from 1; 0 is the object itself."""
+    """The name of warped copy number ``copy`` of an object; number 0 is the object itself."""
     return f"{name}~{copy:04d}" if copy else name
 
 
 def original(name: str) -> str:
-    """The object that ``name`` is, or is a warped copy of."""
+    """The name without the number of a warped copy."""
     return re.sub(r"~\d{4}$", "", name)

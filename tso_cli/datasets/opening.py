@@ -20,18 +20,22 @@ from .shapenet import open_shapenet
 Opener = Callable[[Path, bool], Dataset]
 LAYOUTS = (
     f"ShapeNet of the CAPNet authors ({SHAPENET}/SYNSET/MODEL/render_0.png), renders of 3D-R2N2 "
-    f"({R2N2}/SYNSET/MODEL/{PICTURES}/00.png), Pix3D ({TABLE}), or what tso render writes (NAME/cameras.json)"
+    f"({R2N2}/SYNSET/MODEL/{PICTURES}/00.png), Pix3D ({TABLE}), or what tso render writes "
+    "(NAME/cameras.json)"
 )
 
 
 def open_dataset(folder: Path, strict: bool = False, own_scale: bool = False) -> Dataset:
-    """Open the data set in ``folder``; its layout shows in the names of the folders and files in it.
+    """Open the data set in ``folder``; the names of folders and files in it show its layout.
 
-    What cannot be used is named in ``skipped`` and left out, with ``strict`` it is an InputError; pictures are read, and found
-    to be damaged, only when they are loaded. ``own_scale`` keeps the sizes of objects; those that lost it, rendered here or of
-    Pix3D, get a unit diagonal as ShapeNet's have. Else every object is centred and of longest side 1.
+    What cannot be used is left out and named in ``skipped``; with ``strict`` it is an InputError.
+    A picture is read, and perhaps found to be damaged, only when it is loaded.
 
-    Raises InputError if ``folder`` has no layout known here or two of them, or no object of it can be used.
+    Every object is centred and scaled to longest side 1. With ``own_scale`` objects keep their
+    size instead. The objects of Pix3D and of `tso render` have lost theirs: they are scaled to
+    diagonal 1, as the objects of ShapeNet are.
+
+    Raises InputError if ``folder`` has no known layout or two of them, or if no object can be used.
     """
     if not folder.is_dir():
         found = "is a file" if folder.exists() else "does not exist"
@@ -50,7 +54,7 @@ def open_dataset(folder: Path, strict: bool = False, own_scale: bool = False) ->
         )
     layout, opener = next(iter(layouts.items()), ("", open_rendered))
     if not layout and not holds_object(folder):
-        raise InputError(f"{folder}: has no layout known here, expected {LAYOUTS}")
+        raise InputError(f"{folder}: has no known layout, expected {LAYOUTS}")
     dataset = opener(folder, strict)
     if layout in (SHAPENET, R2N2):
         return replace(dataset, scale=AS_READ) if own_scale else normalised(dataset)
@@ -58,7 +62,7 @@ def open_dataset(folder: Path, strict: bool = False, own_scale: bool = False) ->
 
 
 def _is_r2n2(folder: Path, categories: list[str]) -> bool:
-    """Whether the first category with models has one with a folder of pictures."""
+    """Whether a model of the first category that is not empty has a folder of pictures."""
     for category in categories:
         models = common.listed(folder / category)[0]
         if models:

@@ -1,16 +1,21 @@
 """Pix3D (Sun et al., 2018): photos with masks, aligned models and cameras.
 
-    ROOT/pix3d.json    a list of entries with img, mask, model (paths below ROOT), category, img_size [width, height],
-                       rot_mat, trans_mat, focal_length, truncated, occluded, slightly_occluded, and more that is not used
+    ROOT/pix3d.json    a list of entries with img, mask, model (paths below ROOT), category,
+                       img_size [width, height], rot_mat, trans_mat, focal_length, truncated,
+                       occluded, slightly_occluded, and more that is not used
 
-Facts about the data, from its README, its rendering script and its authors' answers: X = rot_mat x + trans_mat takes a point x
-of the model to axes with x to the left, y up and z into the picture; the camera stands at the origin and looks along +z. So
-X_camera = diag(-1, -1, 1) X in OpenCV axes. focal_length is in mm of a sensor 32 mm wide: f = focal_length / 32 of the
-picture's width; the principal point is the middle of the picture.
+Facts about the data, from its README, its rendering script and the answers of its authors:
 
-The frame of an object here is its model's, centred on the bounding box of its faces and scaled to longest side 1; the cameras
-are changed to match, so that a model is read when one of its views or its target is asked for. Entries whose object is cut off
-or hidden in part are left out: their masks are not its silhouette.
+- X = rot_mat x + trans_mat takes a point x of the model to axes with x to the left, y up and z into
+  the picture. The camera stands at the origin and looks along +z. In OpenCV axes that is
+  X_camera = diag(-1, -1, 1) X.
+- focal_length is in mm, for a sensor that is 32 mm wide: f = focal_length / 32 times the width of
+  the picture. The principal point is the middle of the picture.
+
+The frame of an object here is the frame of its model, centred on the bounding box of its faces and
+scaled to longest side 1. The cameras are changed to match: a model is read when one of its views or
+its target is needed. An entry whose object is partly outside the picture or hidden is left out,
+since its mask is not the silhouette of the object.
 """
 
 from __future__ import annotations
@@ -21,25 +26,25 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, prefixed
-from ..geometry.camera import Array, Camera
+from ..geometry.arrays import Array, Floats, Indices, Pixels
+from ..geometry.camera import Camera, intrinsics
 from ..geometry.points import bounding_box_normalisation
 from ..io.meshes import read_mesh
 from ..io.reading import read_json, shown
 from . import common
-from .items import Dataset, Floats, ObjectItem, Pixels, ViewItem
+from .items import Dataset, ObjectItem, ViewItem
 
 TABLE = "pix3d.json"
 SENSOR_MM = 32.0
-PARTIAL = ("truncated", "occluded", "slightly_occluded")
+PARTLY_SEEN = ("truncated", "occluded", "slightly_occluded")
 _IMAGE_AXES = np.diag([-1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
 class _Entry:
-    """One photo and the camera from the model's own coordinates."""
+    """One photo, and its camera for points in the model's own coordinates."""
 
     image: str
     mask: str
@@ -49,9 +54,10 @@ class _Entry:
 
 
 def open_pix3d(root: Path, strict: bool = False) -> Dataset:
-    """The objects of Pix3D; they are named after their models, CATEGORY/FOLDER/FILE, and every photo is a view.
+    """The objects of Pix3D, named after their models, CATEGORY/FOLDER/FILE; every photo is a view.
 
-    No picture and no model is read yet. Entries with part of the object out of sight are left out even with ``strict``.
+    No picture and no model is read yet. Entries whose object is partly outside the picture or
+    hidden are left out even with ``strict``.
     """
     table = root / TABLE
     document = read_json(table, "the entries of Pix3D", "the entries of Pix3D")
@@ -66,8 +72,10 @@ def open_pix3d(root: Path, strict: bool = False) -> Dataset:
             entry = _entry(values, where)
             for path in (entry.image, entry.mask, entry.model):
                 if not exists(root / path):
-                    raise InputError(f"{root / path}: does not exist, {where} names it")
-            flags = [flag for flag in PARTIAL if values.get(flag) in (True, "true", "True")]
+                    raise InputError(
+                        f"{root / path}: does not exist, expected it as {where} names it"
+                    )
+            flags = [flag for flag in PARTLY_SEEN if values.get(flag) in (True, "true", "True")]
             if flags:
                 skipped.reasons[title] = f"{where}: the object is {flags[0].replace('_', ' ')}"
             else:
@@ -77,35 +85,28 @@ def open_pix3d(root: Path, strict: bool = False) -> Dataset:
     objects = []
     for name, photos in entries.items():
         views = common.LazyViews(len(photos), partial(_view, str(root), photos))
-        objects.append(
-            ObjectItem(
-                name, photos[0].category, views, partial(_target, str(root / photos[0].model))
-            )
-        )
-    return common.finished(
-        objects, f"{root.resolve().name} (Pix3D)", skipped, "entries with img, mask and model"
-    )
+        target = partial(_target, str(root / photos[0].model))
+        objects.append(ObjectItem(name, photos[0].category, views, target))
+    description = f"{root.resolve().name} (Pix3D)"
+    return common.finished(objects, description, skipped, "entries with img, mask and model")
 
 
 def _entry(values: Any, where: str) -> _Entry:
     if not isinstance(values, dict):
         raise InputError(
-            f"{where}: is a {type(values).__name__}, expected an object with img, mask, model and so on"
+            f"{where}: is a {type(values).__name__}, "
+            "expected an object with img, mask, model and so on"
         )
     image, mask, model, category = (
         _text(values, key, where) for key in ("img", "mask", "model", "category")
     )
     width, height = (int(side) for side in _numbers(values, "img_size", (2,), where, whole=True))
     focal = float(_numbers(values, "focal_length", (), where)) / SENSOR_MM * width
-    K = np.array(
-        [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
-    )
-    rotation, translation = (
-        _numbers(values, "rot_mat", (3, 3), where),
-        _numbers(values, "trans_mat", (3,), where),
-    )
+    K = intrinsics(focal, width, height)
+    R = _IMAGE_AXES @ _numbers(values, "rot_mat", (3, 3), where)
+    t = _IMAGE_AXES @ _numbers(values, "trans_mat", (3,), where)
     with prefixed(f"{where}: "):
-        camera = Camera(K, _IMAGE_AXES @ rotation, _IMAGE_AXES @ translation, width, height)
+        camera = Camera(K, R, t, width, height)
     return _Entry(image, mask, model, category, camera)
 
 
@@ -137,13 +138,13 @@ def _title(values: Any, number: int) -> str:
 
 
 def _name(path: str, category: str) -> str:
-    """CATEGORY/... from the path of a model or picture, which starts with the folder of all models or pictures."""
+    """CATEGORY/... from the path of a model or picture, without the folder before the category."""
     parts = PurePosixPath(path).with_suffix("").parts
     parts = parts[parts.index(category) :] if category in parts else (category, *parts)
     return "/".join(parts)
 
 
-def _read(path: str) -> tuple[Array, NDArray[np.int64]]:
+def _read(path: str) -> tuple[Array, Indices]:
     mesh = read_mesh(Path(path), textures=False)
     return mesh.vertices, mesh.faces
 
@@ -168,9 +169,8 @@ def _view(root: str, photos: list[_Entry], index: int) -> ViewItem:
         camera = entry.camera.for_normalised(*_normalisation(str(model)))
     except InputError as error:
         return ViewItem(str(image), entry.camera, partial(_fail, str(error)))
-    return ViewItem(
-        str(image), camera, partial(common.load_pair, image, mask, camera, f"as {TABLE} says")
-    )
+    load = partial(common.load_pair, image, mask, camera, f"as {TABLE} says")
+    return ViewItem(str(image), camera, load)
 
 
 def _fail(message: str) -> tuple[Pixels, Floats]:

@@ -1,15 +1,16 @@
-"""The folder that `tso render` writes: one subfolder an object, with pictures, masks, cameras and points.
+"""The folder that `tso render` writes: a subfolder per object, with pictures, cameras and points.
 
-    NAME/000.png  NAME/000.mask.png  ...   pictures and masks, all of one object
+    NAME/000.png  NAME/000.mask.png  ...   pictures and masks of the object
     NAME/cameras.json                      camera, image and mask of every view
-    NAME/target_16384.ply                  points of the surface, as many as the name says
-    NAME/target.ply                        the farthest-point subset of them that is trained and judged on
-    NAME/render.json                       the settings it was made with
+    NAME/target_16384.ply                  points of the surface; the file name has their number
+    NAME/target.ply                        the target: a farthest-point sample of these points
+    NAME/render.json                       the settings that the object was made with
 
 NAME may contain "/" (category/name). Points are centred on the bounding box, longest side 1.
 
-What is not finished is below .unfinished, beside the objects: an object while it is written, and one that it replaces. One
-process at a time writes a folder, so what is there when it begins is of a run that was killed.
+The folder .unfinished, next to the objects, holds an object while it is written, and the object
+that it replaces. Only one process at a time writes a folder: what is in .unfinished when it begins
+was left by a run that was killed.
 """
 
 from __future__ import annotations
@@ -25,23 +26,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, TsoError
+from ..geometry.arrays import Floats, Pixels
 from ..geometry.camera import Camera
 from ..io.cameras import CameraRecord, read_cameras, write_cameras
 from ..io.clouds import write_cloud
 from ..io.images import write_image
 from ..io.output import reason, sole_writer, write_file
 from . import common
-from .items import Dataset, ObjectItem, Pixels, ViewItem
+from .items import Dataset, ObjectItem, ViewItem
 
 CAMERAS, TARGET, RECORD = "cameras.json", "target.ply", "render.json"
 UNFINISHED = ".unfinished"
 
 
 def open_rendered(root: Path, strict: bool = False) -> Dataset:
-    """The objects of a rendered folder, or of one object in it; the category of CATEGORY/NAME is CATEGORY, of NAME ""."""
+    """The objects of a rendered folder; ``root`` may also be the folder of one object.
+
+    The category of the object CATEGORY/NAME is CATEGORY; an object called NAME has category "".
+    """
     skipped, objects = common.Skipped(strict), []
     for name, path, complete in sorted(_walk(root)):
         try:
@@ -51,14 +55,12 @@ def open_rendered(root: Path, strict: bool = False) -> Dataset:
                 )
             category = name.split("/")[0] if "/" in name else ""
             views = common.LazyViews(len(_records(path)), partial(_view, str(path)))
-            objects.append(
-                ObjectItem(name, category, views, partial(common.cloud_target, str(path / TARGET)))
-            )
+            target = partial(common.cloud_target, str(path / TARGET))
+            objects.append(ObjectItem(name, category, views, target))
         except InputError as error:
             skipped.add(name, str(error))
-    return common.finished(
-        objects, root.resolve().name, skipped, f"NAME/{CAMERAS} and so on as tso render writes them"
-    )
+    expected = f"NAME/{CAMERAS} and so on as tso render writes them"
+    return common.finished(objects, root.resolve().name, skipped, expected)
 
 
 def holds_object(folder: Path) -> bool:
@@ -67,7 +69,10 @@ def holds_object(folder: Path) -> bool:
 
 
 def stored_record(folder: Path) -> dict[str, Any] | None:
-    """The settings of the object in ``folder``, None where there is no such folder; InputError if it holds something else."""
+    """The settings of the object in ``folder``; None if there is no such folder.
+
+    Raises InputError if the folder holds anything else.
+    """
     if not folder.exists():
         return None
     try:
@@ -76,16 +81,18 @@ def stored_record(folder: Path) -> dict[str, Any] | None:
         record = None
     if not isinstance(record, dict):
         raise InputError(
-            f"{folder}: exists and is not an object that tso render wrote, expected another output folder"
+            f"{folder}: exists and is not an object that tso render wrote, "
+            "expected another output folder"
         )
     return record
 
 
 @contextmanager
 def writing(root: Path) -> Iterator[ObjectWriter]:
-    """Write objects into the folder ``root``, for as long as this lasts; InputError where another process does.
+    """Be the only process that writes objects into the folder ``root``.
 
-    What a killed run left is removed, and an object whose replacement it had not finished is put back.
+    What a killed run left is removed. If it was replacing an object, the old object is put back.
+    Raises InputError if another process is writing into the folder.
     """
     with sole_writer(root):
         writer = ObjectWriter(root)
@@ -106,13 +113,16 @@ class ObjectWriter:
         self,
         name: str,
         views: Sequence[tuple[Pixels, Pixels, Camera]],
-        samples: NDArray[np.float32],
-        target: NDArray[np.float32],
+        samples: Floats,
+        target: Floats,
         record: dict[str, Any],
     ) -> None:
-        """Write one object of images [H, W, 3], masks [H, W] and cameras, in place of one that exists; TsoError if it fails."""
+        """Write one object; it replaces an object of the same name.
+
+        ``views`` are images [H, W, 3], masks [H, W] and cameras. Raises TsoError if writing fails.
+        """
         folder, unfinished = self.root / name, self.root / UNFINISHED
-        # A name of its own for each process, should the system have no locks.
+        # Each process has its own name: the system may have no locks.
         new, old = unfinished / f"new.{os.getpid()}", unfinished / "old" / name
         made = [parent for parent in folder.parents if not parent.exists()]
         try:
@@ -138,13 +148,13 @@ class ObjectWriter:
             raise TsoError(f"{folder}: cannot be written ({reason(error)})") from None
         finally:
             self.clear()
-            # Those that hold an object stay.
+            # Folders that hold an object stay: rmdir fails.
             with suppress(OSError):
                 for path in made:
                     path.rmdir()
 
     def clear(self) -> None:
-        """Remove what is not finished, and put back what has not been replaced."""
+        """Remove unfinished objects, and put back old objects that have not been replaced."""
         replaced = self.root / UNFINISHED / "old"
         for name, path, _ in list(_walk(replaced)):
             if not (self.root / name).exists():
@@ -159,7 +169,10 @@ def _records(folder: Path) -> list[CameraRecord]:
 
 @lru_cache(maxsize=256)
 def _read_records(path: Path, changed: int) -> list[CameraRecord]:
-    """The views in a camera file last ``changed`` then; InputError if one lacks its image or mask."""
+    """The views in a camera file; InputError if a view names no image or no mask.
+
+    ``changed`` is the time of the file's last change: a file that has changed is read again.
+    """
     records = read_cameras(path)
     for number, record in enumerate(records):
         if record.image is None or record.mask is None:
@@ -174,14 +187,17 @@ def _view(folder: str, index: int) -> ViewItem:
     record = _records(Path(folder))[index]
     assert record.image is not None
     assert record.mask is not None
-    load = partial(
-        common.load_pair, record.image, record.mask, record.camera, f"as its camera in {CAMERAS}"
-    )
+    size_from = f"as its camera in {CAMERAS}"
+    load = partial(common.load_pair, record.image, record.mask, record.camera, size_from)
     return ViewItem(str(record.mask), record.camera, load)
 
 
 def _walk(folder: Path) -> Iterator[tuple[str, Path, bool]]:
-    """Name and folder of every object (it has any file of one), and whether it has its target; hidden ones are unfinished."""
+    """Name and folder of every object, and whether it has its target.
+
+    A folder is an object if it holds any of an object's files. Hidden folders hold unfinished
+    objects and are left out.
+    """
     for path, folders, files in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         if not {CAMERAS, TARGET, RECORD}.isdisjoint(files):

@@ -1,7 +1,8 @@
 """One size for all objects of a data set, and cameras that see them as before.
 
-ShapeNet scales a model to unit diagonal, so that the longest side of chairs is 0.6 to 0.85. The network's input is cut out
-around the object and hides that: no network can learn it, and a Chamfer distance to such a target is mostly an error of scale.
+ShapeNet scales a model to unit diagonal: the longest side of its chairs is 0.6 to 0.85. The
+network's input is cut out around the object and hides that size. No network can learn it, and a
+Chamfer distance to a target of that size is mostly an error of scale.
 """
 
 from __future__ import annotations
@@ -15,21 +16,24 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.points import Array, bounding_box_normalisation
+from ..geometry.arrays import Array, Floats
+from ..geometry.points import bounding_box_normalisation
 from .common import LazyViews
-from .items import Dataset, Floats, ObjectItem, ViewItem
+from .items import Dataset, ObjectItem, ViewItem
 
 AS_READ = "units of the data set"
 DIAGONAL = "unit diagonal"
-# Objects whose median size and centre stand for one without a 3D file.
-TYPICAL = 32
+# An object without a 3D file gets the median size and centre of at most this many objects of its
+# category: each of them has to be read.
+OBJECTS_FOR_MEDIAN = 32
 
 
 def normalised(dataset: Dataset) -> Dataset:
-    """The objects with targets of longest side 1, centred on their box, and with cameras moved so that no picture changes.
+    """The data set with centred targets of longest side 1, and cameras that see the same pictures.
 
-    A target is read when it or a view of its object is first asked for. An object without a readable one takes the median of
-    its category, or of all where the category has none. Without any 3D file everything stays as it is.
+    A target is read when it, or a view of its object, is first needed. An object without a readable
+    target gets the median centre and size of its category; if the category has no target, of all
+    objects. A data set without any 3D file stays as it is.
     """
     if all(item.target is None for item in dataset.objects):
         return replace(dataset, scale=AS_READ)
@@ -38,7 +42,7 @@ def normalised(dataset: Dataset) -> Dataset:
 
 
 def of_unit_diagonal(dataset: Dataset) -> Dataset:
-    """The objects scaled as ShapeNet's models are; those of longest side 1 as they come."""
+    """The data set with objects of diagonal 1, as the models of ShapeNet have."""
     boxes = _Boxes(dataset.objects, diagonal=True)
     return replace(
         dataset, objects=[boxes.normalised(item) for item in dataset.objects], scale=DIAGONAL
@@ -46,7 +50,10 @@ def of_unit_diagonal(dataset: Dataset) -> Dataset:
 
 
 class _Boxes:
-    """Centre and size of every object that was needed so far; used by several threads."""
+    """Centre and size of every object that was needed so far; several threads may use it.
+
+    The size is the longest side, or with ``diagonal`` the diagonal of the bounding box.
+    """
 
     def __init__(self, objects: Sequence[ObjectItem], diagonal: bool = False) -> None:
         self._diagonal, self._lock = diagonal, threading.Lock()
@@ -70,9 +77,8 @@ class _Boxes:
             centre, size = self._measured(item, points)
             return ((points - centre) / size).astype(np.float32)
 
-        return replace(
-            item, views=LazyViews(len(item.views), view), target=None if read is None else target
-        )
+        views = LazyViews(len(item.views), view)
+        return replace(item, views=views, target=None if read is None else target)
 
     def _of(self, item: ObjectItem) -> tuple[Array, float]:
         if item.name not in self._known:
@@ -80,7 +86,7 @@ class _Boxes:
                 if item.target is None:
                     raise InputError(item.lacking)
                 self._measured(item, item.target())
-            except InputError:  # reported where the target itself is asked for
+            except InputError:  # whoever needs the target itself gets the error
                 self._known[item.name] = self._median(item.category)
         return self._known[item.name]
 
@@ -98,15 +104,13 @@ class _Boxes:
                     item for items in self._members.values() for item in items
                 ]
                 boxes = []
-                for item in members[:: max(1, -(-len(members) // TYPICAL))]:
+                for item in members[:: max(1, -(-len(members) // OBJECTS_FOR_MEDIAN))]:
                     assert item.target is not None
                     with suppress(InputError):
                         boxes.append(self._measured(item, item.target()))
-                centre = (
-                    np.median([centre for centre, _ in boxes], axis=0) if boxes else np.zeros(3)
-                )
-                self._medians[category] = (
-                    centre,
-                    float(np.median([size for _, size in boxes])) if boxes else 1.0,
-                )
+                centre, size = np.zeros(3), 1.0
+                if boxes:
+                    centre = np.median([centre for centre, _ in boxes], axis=0)
+                    size = float(np.median([size for _, size in boxes]))
+                self._medians[category] = centre, size
             return self._medians[category]

@@ -2,19 +2,26 @@
 
     ROOT/ShapeNet_rendered/SYNSET/MODEL/render_K.png    picture number K, from 0
                                         depth_K.png     its depth; below 254 (of 255) is the object
-                                        view.txt        line K: azimuth, elevation (degrees), then perhaps tilt, distance
+                                        view.txt        line K: azimuth, elevation (degrees), and
+                                                        optionally tilt and distance
                                         camera_K.mat    not used
-    ROOT/ShapeNet_pcl/SYNSET/MODEL/pcl_1024_fps_trimesh.npy     points of the surface; the folder may be ShapeNet_v1_pcl
+    ROOT/ShapeNet_pcl/SYNSET/MODEL/pcl_1024_fps_trimesh.npy     points of the surface; the folder
+                                                                may be ShapeNet_v1_pcl
     ROOT/splits/SYNSET_{train,val,test}_list.txt or .npy        see `splits`
 
-Facts about the data, from the code published with the paper: it turns a point (a, b, c) of the cloud into p = (-b, -c, a),
-then X = R_el R_az p - (0, 0, 2), where R_az turns about x and R_el about y, and projects row = 120 X_x / |X_z| + 32,
-column = 120 X_y / |X_z| + 32 at 64x64. In OpenCV axes that is (X_y, X_x, -X_z), so that the whole change of axes is one
-rotation: at azimuth and elevation 0 the camera stands at +a, with b up. The middle of the image is at (W-1)/2 here, since the
-centre of pixel 0 is at 0: half a pixel from theirs. They load camera_K.mat and do not use it; it describes the same camera
-(60 mm on a sensor of 32 mm, distance 2) in the axes of the renderer, Blender.
+Facts about the data, from the code published with the paper:
 
-The renderer writes tilt 0 and distance 2 into columns 3 and 4. The distance is used, a view with a tilt is left out.
+- A point (a, b, c) of the cloud becomes p = (-b, -c, a), then X = R_el R_az p - (0, 0, 2), where
+  R_az turns about x and R_el about y. At 64x64 it is projected to row = 120 X_x / |X_z| + 32 and
+  column = 120 X_y / |X_z| + 32.
+- In OpenCV axes that is (X_y, X_x, -X_z): the whole change of axes is one rotation. At azimuth and
+  elevation 0 the camera stands at +a, with b up.
+- The middle of the image is (W-1)/2 here, since the centre of pixel 0 is at 0. That is half a pixel
+  from the middle in the published code.
+- The published code loads camera_K.mat and does not use it. The file describes the same camera
+  (60 mm on a sensor of 32 mm, distance 2) in the axes of the renderer, Blender.
+- The renderer writes tilt 0 and distance 2 into columns 3 and 4. Here the distance is used, and a
+  view with a tilt is left out.
 """
 
 from __future__ import annotations
@@ -26,14 +33,15 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.arrays import Floats, Pixels
 from ..geometry.camera import CANONICAL_DISTANCE, Camera
 from ..io.images import read_image
 from . import common
-from .items import Dataset, Floats, Pixels, ViewItem
+from .items import Dataset, ViewItem
 
 RENDERED = "ShapeNet_rendered"
 SPLITS = "splits"
-BACKGROUND = 254
+BACKGROUND = 254  # least value of depth_K.png outside the object
 _PICTURE = re.compile(r"render_(0|[1-9][0-9]{0,8})\.png")
 # (a, b, c) of the cloud -> p; X -> OpenCV axes.
 _CLOUD_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -41,19 +49,24 @@ _IMAGE_AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def open_shapenet(root: Path, strict: bool = False) -> Dataset:
-    """The objects of this layout in ROOT or ROOT/ShapeNet_rendered; they are named SYNSET/MODEL, as their clouds are."""
+    """The objects of this layout, named SYNSET/MODEL.
+
+    ``root`` is ROOT or ROOT/ShapeNet_rendered.
+    """
     if not (root / RENDERED).is_dir() and root.resolve().name == RENDERED:
         root = root.resolve().parent
     models = root / RENDERED
-    return common.open_models(
-        root.resolve().name, models, _LAYOUT, common.clouds_beside(models), strict
-    )
+    clouds = common.find_clouds(models)
+    return common.open_models(root.resolve().name, models, _LAYOUT, clouds, strict)
 
 
 def shapenet_camera(
     azimuth: float, elevation: float, size: tuple[int, int], distance: float = CANONICAL_DISTANCE
 ) -> Camera:
-    """The camera of a view: from the axes (a, b, c) of the clouds to pixels of an image of ``size`` (width, height)."""
+    """The camera of a view, from the axes (a, b, c) of the clouds to pixels.
+
+    ``size`` is width, height; angles are in degrees.
+    """
     az, el = np.radians(azimuth), np.radians(elevation)
     about_x = np.array(
         [[1.0, 0.0, 0.0], [0.0, np.cos(az), -np.sin(az)], [0.0, np.sin(az), np.cos(az)]]
@@ -85,28 +98,27 @@ def _pictures(folder: Path) -> list[common.Picture]:
                 f"{table}: line {number + 1} has a tilt of {rows[number, 2]:g} degrees, expected 0"
             )
         elif rows[number, 3] <= 0.0:
-            problem = f"{table}: line {number + 1} has a distance of {rows[number, 3]:g}, expected more than 0"
+            problem = (
+                f"{table}: line {number + 1} has a distance of {rows[number, 3]:g}, "
+                "expected more than 0"
+            )
         pictures.append(common.Picture(file, rows[number : number + 1], problem, depth))
     return pictures
 
 
 def _view(folder: Path, file: str, row: list[float], size: tuple[int, int]) -> ViewItem:
     azimuth, elevation, _, distance = row
-    camera = shapenet_camera(
-        azimuth, elevation, size, CANONICAL_DISTANCE if np.isnan(distance) else distance
-    )
-    return ViewItem(
-        str(folder / file),
-        camera,
-        partial(_load, folder / file, folder / file.replace("render", "depth"), camera),
-    )
+    distance = CANONICAL_DISTANCE if np.isnan(distance) else distance
+    camera = shapenet_camera(azimuth, elevation, size, distance)
+    depth = folder / file.replace("render", "depth")
+    return ViewItem(str(folder / file), camera, partial(_load, folder / file, depth, camera))
 
 
 def _load(picture: Path, depth: Path, camera: Camera) -> tuple[Pixels, Floats]:
     image, far = read_image(picture)[..., :3], read_image(depth)
     for path, pixels in ((picture, image), (depth, far)):
         common.require_size(path, pixels, camera, "as the first picture of its category")
-    # The authors' code looks at the blue channel; 16-bit depth comes in steps of 1/255 too.
+    # The authors' code uses the blue channel. `read_image` gives 16-bit depth in 255ths too.
     return image, (far[..., 2] < BACKGROUND).astype(np.float32)
 
 

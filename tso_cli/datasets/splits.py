@@ -1,10 +1,11 @@
-"""Which objects are for training, validation and test.
+"""Which objects are for training, validation and test. A split is one of the following.
 
-- A JSON file: {"train": [NAME, ...], "validation": [...], "test": [...]}, with names as the data set has them; a part may be
-  missing.
-- The folder of the CAPNet authors: SYNSET_train_list.txt, SYNSET_val_list.txt, SYNSET_test_list.txt with a model a line, or
-  .npy files with an array of texts; or a folder that has it as splits or ShapeNet_rendered/splits. A model is named
-  SYNSET/MODEL here.
+- A JSON file: {"train": [NAME, ...], "validation": [...], "test": [...]}, with the names that the
+  data set gives to its objects. A part may be missing.
+- The folder of the CAPNet authors, with the files SYNSET_train_list.txt, SYNSET_val_list.txt and
+  SYNSET_test_list.txt, one model per line, or .npy files with an array of texts. An object is named
+  SYNSET/MODEL. The folder may be given itself, or the folder that has it as splits or
+  ShapeNet_rendered/splits.
 """
 
 from __future__ import annotations
@@ -22,11 +23,14 @@ from .shapenet import RENDERED, SPLITS
 
 PARTS = ("train", "validation", "test")
 _FILE = re.compile(r"(?P<category>.+)_(?P<part>train|val|test)_list\.(?P<kind>txt|npy)")
-_LIMIT = 1 << 28
+_FILE_LIMIT = 1 << 28
 
 
 def read_split(path: Path) -> dict[str, list[str]]:
-    """Names of the objects of each part, each once; InputError if there are none, or an object is in two parts."""
+    """The names of the objects of each part, without repetitions.
+
+    Raises InputError if there are none, or if an object is in two parts.
+    """
     split = _from_folder(path) if path.is_dir() else _from_json(path)
     split = {part: list(dict.fromkeys(split[part])) for part in PARTS if part in split}
     if not any(split.values()):
@@ -36,25 +40,26 @@ def read_split(path: Path) -> dict[str, list[str]]:
         for name in names:
             if name in seen:
                 raise InputError(
-                    f"{path}: names {shown(name)} for {seen[name]} and for {part}, expected one of them"
+                    f"{path}: names {shown(name)} for {seen[name]} and for {part}, "
+                    "expected one of them"
                 )
             seen[name] = part
     return split
 
 
 def read_part(path: Path, part: str) -> list[str]:
-    """Names of the objects of one ``part``; InputError if the split has no such list."""
+    """The names of the objects of one ``part``; InputError if the split has no such part."""
     split = read_split(path)
     if part not in split:
         raise InputError(
-            f"{path}: has no list {part!r}, expected one beside {', '.join(map(repr, split))}"
+            f"{path}: has no list {part!r} (lists: {', '.join(map(repr, split))}), expected one"
         )
     return split[part]
 
 
 def _from_json(path: Path) -> dict[str, list[str]]:
     form = '{"train": [...], "validation": [...], "test": [...]}'
-    document = read_json(path, "a split (JSON, or a folder of lists)", form, _LIMIT)
+    document = read_json(path, "a split (JSON, or a folder of lists)", form, _FILE_LIMIT)
     if not isinstance(document, dict) or not document:
         raise InputError(f"{path}: holds {shown(document)}, expected {form}")
     for part, names in document.items():
@@ -71,7 +76,7 @@ def _from_folder(folder: Path) -> dict[str, list[str]]:
         (place for place in (folder / SPLITS, folder / RENDERED / SPLITS) if place.is_dir()), folder
     )
     matches = filter(None, map(_FILE.fullmatch, sorted(common.listed(folder)[1])))
-    # Where a list is there in both forms, text comes last and counts.
+    # If a list exists in both forms, the text file comes later and is taken.
     lists = {(match["category"], match["part"]): folder / match[0] for match in matches}
     if not lists:
         raise InputError(
@@ -87,21 +92,22 @@ def _from_folder(folder: Path) -> dict[str, list[str]]:
 
 def _lines(path: Path) -> list[str]:
     try:
-        text = read_bytes(path, "a list of models, one a line", limit=_LIMIT).decode("utf-8")
+        text = read_bytes(path, "a list of models, one per line", limit=_FILE_LIMIT).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(
-            f"{path}: is not text ({reason(error)}), expected a list of models, one a line"
+            f"{path}: is not text ({reason(error)}), expected a list of models, one per line"
         ) from None
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
 def _array(path: Path) -> list[str]:
-    data = read_bytes(path, "an array of texts", limit=_LIMIT)
+    data = read_bytes(path, "an array of texts", limit=_FILE_LIMIT)
     dtype, shape, _, _ = array_header(data, path)
     if dtype.hasobject:
         raise InputError(
-            f"{path}: holds pickled Python objects, which are not loaded because that could run anything; "
-            "expected texts: numpy.save(path, array.astype(str)), or a .txt with a name a line"
+            f"{path}: holds pickled Python objects, which are not loaded because that could run "
+            "anything; expected texts: numpy.save(path, array.astype(str)), or a .txt with a name "
+            "per line"
         )
     if dtype.kind not in "US" or len(shape) != 1:
         raise InputError(

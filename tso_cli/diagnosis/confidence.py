@@ -1,192 +1,259 @@
-"""Whether a result can be trusted: signs of a refinement that went wrong, and the confidence that they leave.
+"""Whether a result can be trusted: the features of a refinement, and the confidence they leave.
 
-IoU is no sign: where camera or mask are wrong it rises while the cloud gets worse. How the points moved is one: a camera that
-is off moves them as one body, a wrong mask moves them far, or otherwise from stage to stage.
+A rising IoU is no proof: where camera or mask are wrong it rises while the cloud gets worse. How
+the points moved says more. A wrong camera moves them as one body; a wrong mask moves them far, or
+differently from stage to stage.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..cloud.smooth_field import SmoothField
+from ..geometry.arrays import Array, Bits
 from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project
-from ..optimisation.loop import Descent
-from ..optimisation.objective import MaskChamferObjective, ViewTargets
+from ..optimisation.loop import Optimised
+from ..optimisation.objective import MaskChamferObjective
 from ..optimisation.presets import STAGES
-from ..optimisation.prior import ROBUST_SCALE
+from ..optimisation.prior import START_ROBUST_SCALE
 from ..optimisation.problem import Problem
-from .agreement import Agreement
+from .examine import Diagnosis
 from .placement import place
 
-Array = NDArray[np.float64]
-Name = Literal["improved", "unchanged", "doubtful"]
+Verdict = Literal["improved", "unchanged", "doubtful"]
 
 MODEL = Path(__file__).with_name("confidence.json")
-# A result of less confidence is doubtful.
+# A result with less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
-# Where silhouettes show a common mistake, no step up to the first confidence is taken, and a part of it up to the second. Where
-# descents alone tell of it the start may as well be another shape, which gains by the whole step. Where few of the views are
-# suspected the others lead, so that less confidence is enough. Both as validation shapes say.
-# Elsewhere doubt is not enough: a cloud far off its mask looks as a wrong camera does, and so does a box that was stretched.
-SUSPECT_STEP, OUTVOTED_STEP = (0.7, 0.8), (0.1, 0.3)
-# What is said where signs of this group took most of the confidence.
+# Where silhouettes show a mistake, nothing moves up to the first confidence, and the displacement
+# is scaled from 0 to 1 up to the second. Where the other views outvote the suspicious ones, less
+# confidence is enough. Both were chosen on validation shapes.
+# Where short optimisations alone show a mistake, the start may as well be another shape, which
+# gains by the whole displacement. Without a finding doubt is not enough to hold it back: a cloud
+# far off its mask looks as a wrong camera does, and so does a box that was stretched.
+HELD_BACK, HELD_BACK_IF_OUTVOTED = (0.7, 0.8), (0.1, 0.3)
+# The most confidence with a fitted camera that is unsure: half of these cameras are off by over 15
+# degrees (`tso lab pose`).
+MOST_CONFIDENCE_IF_UNSURE = 0.49
+# What is said if the features of a group took most of the confidence.
 REASONS = {
-    "camera": "the points moved as one body, as a camera that is off would move them; is the camera right? (--refine-camera)",
+    "camera": "the points moved as one body, as a wrong camera would move them; is the camera "
+    "right?",
     "motion": "the points moved far, or without their neighbours",
-    "stages": "the coarse and the fine stages of the descent disagree",
+    "stages": "the coarse and the fine stages of the optimisation disagree",
     "misfit": "cloud and mask agree too little, before or after",
     "input": "the silhouettes differ in a way that another camera or mask might explain",
-    "symmetry": "the mask and its mirror image contradict each other more than a right camera lets them",
+    "symmetry": "the mask and its mirror image contradict each other more than a right camera "
+    "lets them",
     "views": "the views contradict each other",
 }
-# Added to what is taken the logarithm of.
+FINDING = "finding"
+"""The reason of a result that is doubtful because of a suspicious finding."""
+# Added to a value before its logarithm is taken.
 SMALLEST = 1e-3
-# Of a field without which motion is rough: that of the last stage, whose factors are there.
+# Motion is rough if a field of this smoothness does not have it. The last stage has its factors.
 SMOOTHNESS = STAGES[-1].smoothness
+# A standardised feature beyond this is clipped, and so is a ratio of losses.
+MOST_DEVIATIONS, MOST_LOSS_RATIO = 4.0, 5.0
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Trust:
     """What to think of a result.
 
-    name : "unchanged" where the start is best; "doubtful" where it may well be worse, or a mistake in the input is
-        suspected; "improved"; None if not judged.
-    confidence : that it is not worse by over 5 %, in [0, 1]; None if not judged. reason : why it is doubtful, or not judged.
-    step : share of it that should be taken.
+    verdict : "improved"; "unchanged" where the start is best; "doubtful" where the result may well
+        be worse, or the input is suspicious; None if there is no confidence.
+    confidence : probability that the whole displacement does not make the cloud worse by over 5 %
+        in Chamfer distance, in [0, 1]; None if it is not known.
+    reason : "finding", or a group of features (`REASONS`); else why there is no confidence.
+    says : the reason in words; "" if there is none.
+    displacement_taken : the share of the displacement that is taken: 1, less where the result is
+        doubtful, 0 where nothing moved.
+    features : what the confidence is computed from.
     """
 
-    name: Name | None
+    verdict: Verdict | None
     confidence: float | None
     reason: str = ""
-    step: float = 1.0
+    says: str = ""
+    displacement_taken: float = 1.0
+    features: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, signs: dict[str, float], agreement: Agreement) -> Verdict:
-        """Of a refinement with ``signs``, of input that agrees so."""
-        confidence, group = _judged(signs)
-        confidence, suspicion = min(confidence, agreement.most_confidence), agreement.suspicion
-        if confidence < LEAST_CONFIDENCE or suspicion:
-            between = OUTVOTED_STEP if agreement.outvoted else SUSPECT_STEP
-            step = (
-                float(np.interp(confidence, between, (0.0, 1.0)))
-                if suspicion and not agreement.confirmed
-                else 1.0
-            )
-            return cls("doubtful", confidence, suspicion or REASONS[group], step)
-        return cls("improved", confidence)
+    def of(cls, features: dict[str, float], diagnosis: Diagnosis) -> Trust:
+        """Of a result with ``features``, of an input with this ``diagnosis``."""
+        confidence, group = confidence_of(features)
+        confidence = min(confidence, diagnosis.most_confidence)
+        if diagnosis.suspicious:
+            share = 1.0
+            if not diagnosis.confirmed:
+                bounds = HELD_BACK_IF_OUTVOTED if diagnosis.outvoted else HELD_BACK
+                share = float(np.interp(confidence, bounds, (0.0, 1.0)))
+            says = words_of(diagnosis)
+            return cls("doubtful", confidence, FINDING, says, share, features)
+        if confidence < LEAST_CONFIDENCE:
+            return cls("doubtful", confidence, group, REASONS[group], 1.0, features)
+        return cls("improved", confidence, features=features)
 
     @classmethod
-    def unchanged(cls, suspicion: str | None) -> Verdict:
+    def unchanged(cls, diagnosis: Diagnosis) -> Trust:
         """Of a result that is the start."""
-        return cls("doubtful" if suspicion else "unchanged", 1.0, suspicion or "", 0.0)
+        if diagnosis.suspicious:
+            return cls("doubtful", 1.0, FINDING, words_of(diagnosis), 0.0)
+        return cls("unchanged", 1.0, displacement_taken=0.0)
+
+    @classmethod
+    def unknown(cls, reason: str, says: str, diagnosis: Diagnosis) -> Trust:
+        """Of a result without a confidence, for a ``reason``."""
+        if diagnosis.suspicious:
+            return cls("doubtful", None, FINDING, words_of(diagnosis))
+        return cls(None, None, reason, says)
+
+    def with_unsure_camera(self, says: str) -> Trust:
+        """The same for a fitted camera that is unsure."""
+        confidence = self.confidence and min(self.confidence, MOST_CONFIDENCE_IF_UNSURE)
+        changed = dataclasses.replace(self, verdict="doubtful", confidence=confidence)
+        if self.reason == FINDING:
+            return changed
+        return dataclasses.replace(changed, reason="unsure-camera", says=says)
 
 
-UNJUDGED = Verdict(None, None)
+def words_of(diagnosis: Diagnosis) -> str:
+    """What looks wrong, in words."""
+    joined = " or ".join if len(diagnosis.suspicious[0].views) > 1 else "; ".join
+    return f"it looks as if {joined(finding.says for finding in diagnosis.suspicious)}"
 
 
-def shown(confidence: float) -> str:
-    """With two places, rounded down: what is shown as 0.50 is not doubtful."""
-    return f"{confidence:.4f}"[:4]
-
-
-def signs_of(
+def features_of(
     problem: Problem,
     field: SmoothField,
-    descent: Descent,
-    ious: list[tuple[float, float]],
-    inlier: list[float],
+    optimised: Optimised,
+    ious: Sequence[tuple[float, float]],
+    inlier_weights: Sequence[float],
+    diagnosis: Diagnosis,
 ) -> dict[str, float]:
-    """What the confidence depends on, named GROUP: SIGN.
+    """What the confidence is computed from, named GROUP: FEATURE.
 
-    ``problem`` has its last windows; ``field`` is of the start; ``ious`` and ``inlier`` weights are of the views.
+    ``problem`` has its last windows; ``field`` is of the start; ``ious`` [V] before and after, and
+    ``inlier_weights`` [V] are of the given views.
     """
-    initial, refined, stages = problem.cloud.normalised(), descent.best, descent.stages
-    moved = refined - initial
-    lengths = np.linalg.norm(moved, axis=1)
-    signs = {"motion: mean": _log(lengths.mean()), "motion: most": _log(lengths.max())}
-    camera = problem.resampled[0].camera
-    axes = np.sqrt(np.square(moved @ camera.R.T).mean(0))
-    signs |= {"motion: along": _log(axes[2]), "motion: across": _log(float(np.hypot(*axes[:2])))}
-    of_nodes = moved[field.nodes]
-    rough = np.square(of_nodes - field.smoothed(of_nodes, SMOOTHNESS)).sum() / (
-        np.square(of_nodes).sum() + 1e-12
-    )
-    signs |= {"motion: rough": float(rough), **_explained(initial, refined)}
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        signs[f"stages: {i + 1} to {j + 1}"] = _log(
-            np.sqrt(np.square(stages[j] - stages[i]).sum(1).mean())
-        )
-
-    views = len(problem.views)
-    targets = ViewTargets.of(problem.resampled[:views], [1.0 / views] * views)
-    objective = MaskChamferObjective(targets, ROBUST_SCALE)
-    for name, points in (("before", initial), ("after", refined)):
-        signs[f"misfit: {name}"] = _log(objective(points)[0] / targets.pixels)
-        beside = [_beside(points, view.camera, view.mask.inside) for view in targets.views]
-        signs[f"misfit: beside {name}"] = float(np.mean(beside))
-    signs["misfit: IoU before"], signs["misfit: IoU after"] = np.mean(ious, 0).tolist()
-
-    assert problem.agreement is not None
-    # In the cells that the cloud was compared with: there an object in a large picture looks like one in a small.
-    inside = targets.views[0].mask.inside
-    border = np.count_nonzero(inside[1:] != inside[:-1]) + np.count_nonzero(
-        inside[:, 1:] != inside[:, :-1]
-    )
-    signs |= {
-        "input: IoU of boxes": float(
-            np.mean([place(problem.cloud.initial, view).box_iou for view in problem.views])
-        ),
-        "input: IoU of cells": problem.agreement.as_given,
-        "input: IoU of cells as assumed": problem.agreement.best,
-        "input: suspects": float(len(problem.agreement.named)),
-        "input: border": _log(border / np.sqrt(np.count_nonzero(inside))),
-        "input: pixels": _log(np.count_nonzero(inside)),
-        "input: truncated": float(targets.truncated),
+    start, best = problem.cloud.start, optimised.best
+    views = len(problem.given)
+    truncated = all(windowed.resampled.target.truncated for windowed in problem.given)
+    return {
+        **_motion(problem, field, start, best),
+        **_rigidity(start, best),
+        **_disagreement_of_stages(optimised.stages),
+        **_misfit(problem, start, best, ious),
+        **_input(problem, diagnosis),
+        "input: truncated": float(truncated),
         "symmetry: used": float(problem.symmetry.plane is not None),
         "symmetry: contradicted": float(problem.symmetry.outcome == "contradicted"),
-        "symmetry: loss ratio": min(problem.symmetry.loss_ratio or 1.0, 5.0),
+        "symmetry: loss ratio": _loss_ratio(problem),
         "views: number": _log(views),
-        "views: inlier weight": min(inlier),
+        "views: inlier weight": min(inlier_weights),
     }
-    return signs
 
 
-def _explained(initial: Array, refined: Array) -> dict[str, float]:
-    """Shares of the motion that no rigid, similar, or affine map explains, and the parts of the rigid one."""
-    x, y = initial - initial.mean(0), refined - refined.mean(0)
+def _motion(problem: Problem, field: SmoothField, start: Array, best: Array) -> dict[str, float]:
+    moved = best - start
+    lengths = np.linalg.norm(moved, axis=1)
+    camera = problem.given[0].resampled.camera
+    axes = np.sqrt(np.square(moved @ camera.R.T).mean(0))
+    of_nodes = moved[field.nodes]
+    unsmooth = np.square(of_nodes - field.smoothed(of_nodes, SMOOTHNESS)).sum()
+    return {
+        "motion: mean": _log(lengths.mean()),
+        "motion: most": _log(lengths.max()),
+        "motion: along": _log(axes[2]),
+        "motion: across": _log(float(np.hypot(*axes[:2]))),
+        "motion: rough": float(unsmooth / (np.square(of_nodes).sum() + 1e-12)),
+    }
+
+
+def _rigidity(start: Array, best: Array) -> dict[str, float]:
+    """Shares of the motion that no rigid, similar or affine map explains, and the rigid map."""
+    x, y = start - start.mean(0), best - best.mean(0)
     u, s, v = np.linalg.svd(x.T @ y)
     handedness = np.sign(np.linalg.det(u @ v))
     s[2], u[:, 2] = handedness * s[2], handedness * u[:, 2]
     turn, scale = u @ v, float(s.sum() / np.square(x).sum())
     affine = np.linalg.lstsq(x, y, rcond=None)[0]
-    total = np.square(refined - initial).sum() + 1e-12
-    left = {"rigid": x @ turn, "similar": scale * x @ turn, "affine": x @ affine}
+    total = np.square(best - start).sum() + 1e-12
+    mapped = {"rigid": x @ turn, "similar": scale * x @ turn, "affine": x @ affine}
+    angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
     return {
         **{
-            f"camera: not {name}": float(np.square(y - mapped).sum() / total)
-            for name, mapped in left.items()
+            f"camera: not {name}": float(np.square(y - image).sum() / total)
+            for name, image in mapped.items()
         },
-        "camera: turn": _log(
-            np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
-        ),
+        "camera: turn": _log(angle),
         "camera: scale": _log(abs(np.log(max(scale, SMALLEST)))),
-        "camera: shift": _log(float(np.linalg.norm((refined - initial).mean(0)))),
+        "camera: shift": _log(float(np.linalg.norm((best - start).mean(0)))),
     }
 
 
-def _beside(points: Array, camera: Camera, inside: NDArray[np.bool_]) -> float:
-    """Share of the points that do not fall on ``inside`` [H, W]."""
+def _disagreement_of_stages(stages: Sequence[Array]) -> dict[str, float]:
+    return {
+        f"stages: {i + 1} to {j + 1}": _log(np.sqrt(np.square(stages[j] - stages[i]).sum(1).mean()))
+        for i, j in ((0, 1), (0, 2), (1, 2))
+    }
+
+
+def _misfit(
+    problem: Problem, start: Array, best: Array, ious: Sequence[tuple[float, float]]
+) -> dict[str, float]:
+    """Of the given views, equally weighted."""
+    views = len(problem.given)
+    targets = problem.without_flipped().targets([1.0 / views] * views)
+    objective = MaskChamferObjective(targets, START_ROBUST_SCALE)
+    features = {}
+    for name, points in (("before", start), ("after", best)):
+        features[f"misfit: {name}"] = _log(objective(points)[0] / targets.pixels)
+        outside = [_outside(points, view.camera, view.mask.inside) for view in targets.views]
+        features[f"misfit: outside {name}"] = float(np.mean(outside))
+    before, after = np.mean(ious, 0).tolist()
+    return {**features, "misfit: IoU before": before, "misfit: IoU after": after}
+
+
+def _outside(points: Array, camera: Camera, inside: Bits) -> float:
+    """The share of the points that do not fall on ``inside`` [H, W]."""
     projected = project(points, camera)
     pixel, within = pixels_under(projected.points_px, projected.valid, *inside.shape)
     return 1.0 - np.count_nonzero(within & inside.ravel()[pixel]) / len(points)
+
+
+def _input(problem: Problem, diagnosis: Diagnosis) -> dict[str, float]:
+    explanation = diagnosis.explanation
+    assert explanation is not None
+    # In the cells that the cloud was compared with: an object in a large picture looks like an
+    # object in a small one there.
+    inside = problem.given[0].resampled.target.inside
+    down = np.count_nonzero(inside[1:] != inside[:-1])
+    border = down + np.count_nonzero(inside[:, 1:] != inside[:, :-1])
+    boxes = [place(problem.cloud.control_points, view).box_iou for view in problem.views]
+    return {
+        "input: IoU of boxes": float(np.mean(boxes)),
+        "input: IoU of cells": explanation.as_given,
+        "input: IoU of cells explained": explanation.best,
+        "input: findings": float(len(diagnosis.suspicious)),
+        "input: border": _log(border / np.sqrt(np.count_nonzero(inside))),
+        "input: pixels": _log(np.count_nonzero(inside)),
+    }
+
+
+def _loss_ratio(problem: Problem) -> float:
+    check = problem.symmetry.check
+    return min(check.loss_ratio or 1.0, MOST_LOSS_RATIO) if check else 1.0
 
 
 def _log(value: Any) -> float:
@@ -196,18 +263,21 @@ def _log(value: Any) -> float:
 @functools.cache
 def _model() -> tuple[list[str], tuple[Array, ...]]:
     document = json.loads(MODEL.read_text())
-    return document["signs"], tuple(
-        np.array(document[name]) for name in ("mean", "deviation", "hidden", "offset", "output")
-    )
+    parts = ("mean", "deviation", "hidden", "offset", "output")
+    return document["features"], tuple(np.array(document[name]) for name in parts)
 
 
-def _judged(signs: dict[str, float]) -> tuple[float, str]:
-    """The confidence, and the group of signs that takes most of it: without them (at their means) it would be highest."""
+def confidence_of(features: dict[str, float]) -> tuple[float, str]:
+    """The confidence, and the group of features that takes most of it.
+
+    Without the features of that group (at their means) the confidence would be highest.
+    """
     names, (mean, deviation, hidden, offset, output) = _model()
-    standard = np.clip((np.array([signs[name] for name in names]) - mean) / deviation, -4.0, 4.0)
+    standard = (np.array([features[name] for name in names]) - mean) / deviation
+    standard = np.clip(standard, -MOST_DEVIATIONS, MOST_DEVIATIONS)
     groups = np.array([name.split(":")[0] for name in names])
     rows = np.stack([standard, *(np.where(groups == group, 0.0, standard) for group in REASONS)])
     doubt = np.tanh(rows @ hidden + offset) @ output[:-1] + output[-1]
-    # Rounded down, as it is shown.
+    # Rounded down, as it is printed: what is printed as 0.50 is not doubtful.
     confidence = np.floor(1e4 / (1.0 + np.exp(doubt[0]))) / 1e4
     return float(confidence), list(REASONS)[int(doubt[1:].argmin())]

@@ -1,239 +1,302 @@
-"""What people commonly get wrong in cloud, camera and mask: named assumptions, and views as they are meant under them."""
+"""What people commonly get wrong in cloud, camera and mask: a table of hypotheses.
+
+A hypothesis that is taken as true is an assumption. Views stay as they were read; `as_meant` is a
+view under assumptions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.camera import Array, Camera
+from ..geometry.arrays import Array
+from ..geometry.camera import Camera
+from ..geometry.mirror_plane import MirrorPlane
 from ..geometry.view import View
-from ..optimisation.symmetry import MirrorPlane
+
+MaskChange = Literal["", "inverted", "left-right", "upside-down"]
+
+
+def _as_read(camera: Camera) -> Camera:
+    return camera
 
 
 @dataclass(frozen=True)
-class Assumption:
-    """How the input is meant, if not as the conventions have it.
+class Hypothesis:
+    """One way in which the input may be meant, if not as the conventions have it.
 
-    what : in words. axes : the x, y and z of the scene in those of the cloud. camera : from the camera of the file. mask :
-    "inverted", "left-right" or "upside-down". option : that gave it. view : name of the only view that it is about, or "".
-    of_cloud : whether it is about the cloud, the same for all views. handicap : IoU by which it must explain the views better
-    than others: a start of another shape may be smaller or larger too.
+    name : what ``assume`` takes. says : in words.
+    axes : the x, y and z of the scene, in the axes of the cloud.
+    camera : the camera that is meant, from the camera as it was read.
+    mask : how the mask that is meant differs from the mask as it was read.
+    of_cloud : whether it is about the cloud, and so the same for all views.
+    prior : IoU by which it must explain the views better than other hypotheses do. A start of
+        another shape may be smaller or larger than the object too.
     """
 
-    what: str
+    name: str
+    says: str
     axes: str = "x y z"
-    camera: Callable[[Camera], Camera] | None = None
-    mask: str = ""
-    option: str = ""
-    view: str = ""
+    camera: Callable[[Camera], Camera] = _as_read
+    mask: MaskChange = ""
     of_cloud: bool = False
-    handicap: float = 0.0
+    prior: float = 0.0
+
+    def __reduce__(self) -> tuple[Callable[[str], Hypothesis], tuple[str]]:
+        # By name, since the functions of the table cannot be sent to another process.
+        return _by_name, (self.name,)
+
+    @property
+    def changes_camera(self) -> bool:
+        return self.camera is not _as_read
 
     @cached_property
     def matrix(self) -> Array:
         """[3, 3], from points of the cloud to points of the scene; orthogonal."""
-        rows = [
-            np.eye(3)["xyz".index(axis[-1])] * (-1.0 if axis[0] == "-" else 1.0)
-            for axis in self.axes.split()
-        ]
+        rows = []
+        for axis in self.axes.split():
+            sign = -1.0 if axis.startswith("-") else 1.0
+            rows.append(sign * np.eye(3)["xyz".index(axis[-1])])
         return np.stack(rows)
-
-    def of_view(self, view: View) -> View:
-        """The view with mask and camera as they are meant. Its depth map and photo are taken as right."""
-        mask, known = view.mask, view.known
-        if self.mask == "inverted":
-            mask = np.float32(1.0) - mask
-        elif self.mask:
-            order = np.s_[:, ::-1] if self.mask == "left-right" else np.s_[::-1]
-            mask, known = mask[order], None if known is None else known[order]
-        return replace(view, mask=mask, known=known, camera=self.of_camera(view.camera))
-
-    def of_camera(self, camera: Camera) -> Camera:
-        return self.camera(camera) if self.camera else camera
-
-    def read(self, view: View) -> View:
-        """The view as it is meant, of points in the axes of the cloud."""
-        return in_axes_of_cloud(self.of_view(view), self.matrix)
 
 
 def _axes(*signs: float) -> Callable[[Camera], Camera]:
-    """The axes of the camera's frame turned: ``signs`` of x, y and z."""
+    """The axes of the camera's frame reversed by ``signs`` of x, y and z."""
     flip = np.array(signs)
     return lambda camera: replace(camera, R=flip[:, None] * camera.R, t=flip * camera.t)
 
 
-def _to_camera(camera: Camera) -> Camera:
+def _inverse(camera: Camera) -> Camera:
     return replace(camera, R=camera.R.T, t=-camera.R.T @ camera.t)
 
 
 def _unit(factor: float) -> Callable[[Camera], Camera]:
-    """The cloud's unit is ``factor`` times that of the camera."""
+    """The cloud's unit is ``factor`` times the camera's unit."""
 
-    def camera_in_units(camera: Camera) -> Camera:
-        K = camera.K if camera.model == "perspective" else camera.K @ np.diag([factor, factor, 1.0])
+    def in_units_of_cloud(camera: Camera) -> Camera:
+        K = camera.K
+        if camera.model == "orthographic":
+            K = K @ np.diag([factor, factor, 1.0])
         return replace(camera, K=K, t=camera.t / factor)
 
-    return camera_in_units
+    return in_units_of_cloud
 
 
-def _of_image(factor: float) -> Callable[[Camera], Camera]:
-    """K is of the image enlarged by 1 / ``factor``; centres of pixels are at integers."""
-    change = np.array(
-        [[factor, 0.0, (factor - 1.0) / 2.0], [0.0, factor, (factor - 1.0) / 2.0], [0.0, 0.0, 1.0]]
-    )
+def _image(factor: float) -> Callable[[Camera], Camera]:
+    """K is of the image enlarged by 1 / ``factor``; pixel centres are at integers."""
+    shift = (factor - 1.0) / 2.0
+    change = np.array([[factor, 0.0, shift], [0.0, factor, shift], [0.0, 0.0, 1.0]])
     return lambda camera: replace(camera, K=change @ camera.K)
 
 
-def _exchanged(camera: Camera) -> Camera:
+def _principal_point_swapped(camera: Camera) -> Camera:
     K = camera.K.copy()
     K[:2, 2] = K[1::-1, 2]
     return replace(camera, K=K)
 
 
-_of_cloud = partial(Assumption, of_cloud=True)
-ASSUMPTIONS = {
-    "mask-inverted": Assumption("the mask is inverted", mask="inverted"),
-    "mask-flipped": Assumption("the mask is flipped left to right", mask="left-right"),
-    "mask-upside-down": Assumption("the mask is upside down", mask="upside-down"),
-    "cloud-z-up": _of_cloud("the cloud's z points up, the scene's y", "x z -y"),
-    "cloud-y-up": _of_cloud("the cloud's y points up, the scene's z", "x -z y"),
-    "cloud-upside-down": _of_cloud("the cloud is upside down", "x -y -z"),
-    "cloud-xy-swapped": _of_cloud("x and y of the cloud are exchanged", "y x z"),
-    "cloud-yz-swapped": _of_cloud("y and z of the cloud are exchanged", "x z y"),
-    "cloud-xz-swapped": _of_cloud("x and z of the cloud are exchanged", "z y x"),
-    "cloud-yzx": _of_cloud("the cloud's axes are y, z, x", "z x y"),
-    "cloud-zxy": _of_cloud("the cloud's axes are z, x, y", "y z x"),
-    "cloud-inches": _of_cloud("the cloud is in inches, the camera in metres", camera=_unit(0.0254)),
-    "cloud-millimetres": _of_cloud(
-        "the cloud is in millimetres, the camera in metres", camera=_unit(1e-3)
-    ),
-    "cloud-centimetres": _of_cloud(
-        "the cloud is in centimetres, the camera in metres", camera=_unit(1e-2)
-    ),
-    "camera-inches": Assumption(
-        "the camera is in inches, the cloud in metres", camera=_unit(1.0 / 0.0254)
-    ),
-    "camera-millimetres": Assumption(
-        "the camera is in millimetres, the cloud in metres", camera=_unit(1e3)
-    ),
-    "camera-centimetres": Assumption(
-        "the camera is in centimetres, the cloud in metres", camera=_unit(1e2)
-    ),
-    "cloud-ten-times-large": _of_cloud(
-        "the cloud is ten times too large, as millimetres for centimetres", camera=_unit(0.1)
-    ),
-    "cloud-ten-times-small": _of_cloud(
-        "the cloud is ten times too small, as centimetres for millimetres", camera=_unit(10.0)
-    ),
-    "cloud-twice-large": _of_cloud(
-        "the cloud is about twice too large", camera=_unit(0.5), handicap=0.14
-    ),
-    "cloud-half-large": _of_cloud(
-        "the cloud is about half as large as it should be", camera=_unit(2.0), handicap=0.14
-    ),
-    "opengl": Assumption(
-        "the camera's axes are OpenGL's (y up, z backward)", camera=_axes(1.0, -1.0, -1.0)
-    ),
-    "pytorch3d": Assumption(
-        "the camera's axes are PyTorch3D's (x left, y up)", camera=_axes(-1.0, -1.0, 1.0)
-    ),
-    "camera-to-world": Assumption("R and t are camera-to-world", camera=_to_camera),
-    "opengl-camera-to-world": Assumption(
-        "R and t are camera-to-world with OpenGL's axes, as Blender's and NeRF's",
-        camera=lambda camera: _axes(1.0, -1.0, -1.0)(_to_camera(camera)),
-    ),
-    "t-of-position": Assumption(
-        "t is the camera's position", camera=lambda camera: replace(camera, t=-camera.R @ camera.t)
-    ),
-    "R-transposed": Assumption(
-        "R is transposed", camera=lambda camera: replace(camera, R=camera.R.T)
-    ),
-    "K-of-half-size": Assumption("K is of an image half as wide", camera=_of_image(2.0)),
-    "K-of-double-size": Assumption("K is of an image twice as wide", camera=_of_image(0.5)),
-    "principal-point-swapped": Assumption(
-        "x and y of the principal point are exchanged", camera=_exchanged
-    ),
+def _of_cloud(
+    name: str, says: str, axes: str = "x y z", unit: float | None = None, prior: float = 0.0
+) -> Hypothesis:
+    """A hypothesis about the cloud's axes, or about its ``unit`` in units of the camera."""
+    camera = _unit(unit) if unit else _as_read
+    return Hypothesis(name, says, axes, camera, of_cloud=True, prior=prior)
+
+
+# A start may be another shape, about twice or half as large as the object.
+SIZE_PRIOR = 0.14
+_OPENGL, _PYTORCH3D = _axes(1.0, -1.0, -1.0), _axes(-1.0, -1.0, 1.0)
+
+HYPOTHESES = {
+    hypothesis.name: hypothesis
+    for hypothesis in (
+        Hypothesis("mask-inverted", "the mask is inverted", mask="inverted"),
+        Hypothesis("mask-flipped", "the mask is flipped left to right", mask="left-right"),
+        Hypothesis("mask-upside-down", "the mask is upside down", mask="upside-down"),
+        _of_cloud("cloud-z-up", "the cloud's z points up, the scene's y", "x z -y"),
+        _of_cloud("cloud-y-up", "the cloud's y points up, the scene's z", "x -z y"),
+        _of_cloud("cloud-upside-down", "the cloud is upside down", "x -y -z"),
+        _of_cloud("cloud-xy-swapped", "x and y of the cloud are exchanged", "y x z"),
+        _of_cloud("cloud-yz-swapped", "y and z of the cloud are exchanged", "x z y"),
+        _of_cloud("cloud-xz-swapped", "x and z of the cloud are exchanged", "z y x"),
+        _of_cloud("cloud-yzx", "the cloud's axes are y, z, x", "z x y"),
+        _of_cloud("cloud-zxy", "the cloud's axes are z, x, y", "y z x"),
+        _of_cloud("cloud-inches", "the cloud is in inches, the camera in metres", unit=0.0254),
+        _of_cloud(
+            "cloud-millimetres", "the cloud is in millimetres, the camera in metres", unit=1e-3
+        ),
+        _of_cloud(
+            "cloud-centimetres", "the cloud is in centimetres, the camera in metres", unit=1e-2
+        ),
+        Hypothesis(
+            "camera-inches",
+            "the camera is in inches, the cloud in metres",
+            camera=_unit(1.0 / 0.0254),
+        ),
+        Hypothesis(
+            "camera-millimetres",
+            "the camera is in millimetres, the cloud in metres",
+            camera=_unit(1e3),
+        ),
+        Hypothesis(
+            "camera-centimetres",
+            "the camera is in centimetres, the cloud in metres",
+            camera=_unit(1e2),
+        ),
+        _of_cloud(
+            "cloud-ten-times-large",
+            "the cloud is ten times too large, as millimetres for centimetres",
+            unit=0.1,
+        ),
+        _of_cloud(
+            "cloud-ten-times-small",
+            "the cloud is ten times too small, as centimetres for millimetres",
+            unit=10.0,
+        ),
+        _of_cloud(
+            "cloud-twice-large", "the cloud is about twice too large", unit=0.5, prior=SIZE_PRIOR
+        ),
+        _of_cloud(
+            "cloud-half-large",
+            "the cloud is about half as large as it should be",
+            unit=2.0,
+            prior=SIZE_PRIOR,
+        ),
+        Hypothesis("opengl", "the camera's axes are OpenGL's (y up, z backward)", camera=_OPENGL),
+        Hypothesis(
+            "pytorch3d", "the camera's axes are PyTorch3D's (x left, y up)", camera=_PYTORCH3D
+        ),
+        Hypothesis("camera-to-world", "R and t are camera-to-world", camera=_inverse),
+        Hypothesis(
+            "opengl-camera-to-world",
+            "R and t are camera-to-world with OpenGL's axes, as Blender's and NeRF's",
+            camera=lambda camera: _OPENGL(_inverse(camera)),
+        ),
+        Hypothesis(
+            "t-of-position",
+            "t is the camera's position",
+            camera=lambda camera: replace(camera, t=-camera.R @ camera.t),
+        ),
+        Hypothesis(
+            "R-transposed", "R is transposed", camera=lambda camera: replace(camera, R=camera.R.T)
+        ),
+        Hypothesis("K-of-half-size", "K is of an image half as wide", camera=_image(2.0)),
+        Hypothesis("K-of-double-size", "K is of an image twice as wide", camera=_image(0.5)),
+        Hypothesis(
+            "principal-point-swapped",
+            "x and y of the principal point are exchanged",
+            camera=_principal_point_swapped,
+        ),
+    )
 }
-"""By the name that `tso refine --assume` takes."""
 
 
-INVERT_MASK = replace(ASSUMPTIONS["mask-inverted"], option="--invert-mask")
+def _by_name(name: str) -> Hypothesis:
+    return HYPOTHESES[name]
 
 
-class Suspect(NamedTuple):
-    """What may be wrong with the input: ``what`` in words, the ``option`` or file that mends it, the IoU then (0: unknown)."""
+@dataclass(frozen=True)
+class Assumption:
+    """A hypothesis that is taken as true: of all views, or of the ``view`` of this name alone."""
 
-    what: str
-    option: str
-    score: float
+    hypothesis: Hypothesis
+    view: str = ""
+
+    @property
+    def text(self) -> str:
+        """As ``assume`` takes it: NAME, or NAME@VIEW."""
+        return f"{self.hypothesis.name}@{self.view}" if self.view else self.hypothesis.name
+
+    def is_about(self, view: View) -> bool:
+        return self.view in ("", view.name)
 
 
-def assumptions_of(texts: Sequence[str]) -> list[Assumption]:
-    """The assumptions of NAME, or of NAME@MASK for the view of that mask alone; InputError for another name."""
-    assumptions = []
+INVERTED = Assumption(HYPOTHESES["mask-inverted"])
+
+
+def assumptions_of(texts: Sequence[str], views: Sequence[str]) -> tuple[Assumption, ...]:
+    """The assumptions that ``texts`` name: NAME, or NAME@VIEW for one view alone.
+
+    A view is named by its whole name or by the last part of a path. Raises InputError for a name
+    that is not in the table, a view that is not in ``views``, or a text that is given twice.
+    """
+    found = []
     for text in texts:
-        name, at, mask = text.partition("@")
-        if name not in ASSUMPTIONS or (at and not mask):
+        name, at, view = text.partition("@")
+        if name not in HYPOTHESES or (at and not view):
             raise InputError(
-                f"--assume is {text!r}, expected one of {', '.join(ASSUMPTIONS)}, or NAME@MASK for one mask of several"
+                f"`assume` is {text!r}, expected one of {', '.join(HYPOTHESES)}, or NAME@MASK for "
+                "one mask of several"
             )
-        if at and ASSUMPTIONS[name].of_cloud:
+        hypothesis = HYPOTHESES[name]
+        if at and hypothesis.of_cloud:
             raise InputError(
-                f"--assume is {text!r}, expected {name} alone: the cloud is the same for all masks"
+                f"`assume` is {text!r}, expected {name} alone: the cloud is the same for all masks"
             )
         if texts.count(text) > 1:
-            raise InputError(f"--assume {text} is given twice, expected once")
-        assumptions.append(
-            replace(
-                ASSUMPTIONS[name], option=f"--assume {text}", view=str(Path(mask)) if mask else ""
-            )
-        )
-    return assumptions
+            raise InputError(f"`assume` has {text} twice, expected it once")
+        found.append(Assumption(hypothesis, _named(text, view, views) if at else ""))
+    return tuple(found)
 
 
-@dataclass(frozen=True, eq=False)
-class AssumedView(View):
-    """A view read under assumptions: ``given`` ones, and the ``camera_read``, of the file."""
-
-    given: tuple[Assumption, ...] = ()
-    camera_read: Camera | None = None
-
-
-def about(view: View, assumptions: Sequence[Assumption]) -> list[Assumption]:
-    """Those that are about all views, or about this one."""
-    return [assumption for assumption in assumptions if assumption.view in ("", view.name)]
+def _named(text: str, view: str, views: Sequence[str]) -> str:
+    """The one of ``views`` that ``view`` names."""
+    view = str(Path(view))
+    found = [name for name in views if name == view]
+    found = found or [name for name in views if Path(name).name == view]
+    if len(found) != 1:
+        count = f"there are {len(found)} such masks" if found else "there is no such mask"
+        raise InputError(f"`assume` is {text!r}: {count}, expected one of {', '.join(views)}")
+    return found[0]
 
 
-def axes_of(assumptions: Sequence[Assumption]) -> Array:
-    """[3, 3], from points of the cloud to points of the scene, under all of them."""
+def as_meant(view: View, assumptions: Iterable[Assumption]) -> View:
+    """``view``, as it was read, under ``assumptions``: as it sees points in the cloud's axes.
+
+    Depth map and photo are taken as right.
+    """
+    mask, known, camera, axes = view.mask, view.known, view.camera, np.eye(3)
+    hypotheses = [one.hypothesis for one in assumptions if one.is_about(view)]
+    if not hypotheses:
+        return view
+    for hypothesis in hypotheses:
+        if hypothesis.mask == "inverted":
+            mask = np.float32(1.0) - mask
+        elif hypothesis.mask:
+            order = np.s_[:, ::-1] if hypothesis.mask == "left-right" else np.s_[::-1]
+            mask, known = mask[order], None if known is None else known[order]
+        camera, axes = hypothesis.camera(camera), hypothesis.matrix @ axes
+    return _in_axes_of_cloud(replace(view, mask=mask, known=known, camera=camera), axes)
+
+
+def axes_of(assumptions: Iterable[Assumption]) -> Array:
+    """[3, 3], from points of the cloud to points of the scene, under all assumptions."""
     axes = np.eye(3)
     for assumption in assumptions:
-        axes = assumption.matrix @ axes
+        axes = assumption.hypothesis.matrix @ axes
     return axes
 
 
-def mirrored(view: View) -> bool:
-    """Whether its pictures and its camera are mirrored, as the cloud has left-handed axes."""
-    return isinstance(view, AssumedView) and bool(
-        np.linalg.det(axes_of(about(view, view.given))) < 0.0
-    )
+def left_handed(assumptions: Iterable[Assumption]) -> bool:
+    """Whether the cloud has left-handed axes, so that pictures and cameras are mirrored."""
+    return bool(np.linalg.det(axes_of(assumptions)) < 0.0)
 
 
-def in_axes_of_cloud(view: View, axes: Array) -> View:
-    """The view whose camera sees points of the cloud where it saw ``axes`` times these.
+def _in_axes_of_cloud(view: View, axes: Array) -> View:
+    """The view whose camera sees points of the cloud where ``view`` sees ``axes`` times them.
 
-    Of left-handed axes its pictures are mirrored, and its camera with them: no camera is a reflection.
+    For left-handed axes its pictures are mirrored with the camera: no camera is a reflection.
     """
     if np.linalg.det(axes) < 0.0:
         mirror = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
-        mirrored, axes = mirror.view(view), mirror.reflect(axes.T).T
+        flipped, axes = mirror.flipped(view), mirror.reflect(axes.T).T
         image = None if view.image is None else view.image[:, ::-1]
-        pictures = {name: getattr(mirrored, name) for name in ("mask", "known", "depth", "camera")}
+        pictures = {name: getattr(flipped, name) for name in ("mask", "known", "depth", "camera")}
         view = replace(view, image=image, **pictures)
     return replace(view, camera=replace(view.camera, R=view.camera.R @ axes))

@@ -1,28 +1,39 @@
-"""Is something in front of the object? A mask that ends at a straight edge where the cloud goes on."""
+"""Is something in front of the object? Its mask ends at a straight edge, and the cloud goes on."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..geometry.camera import Array
+from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import longest_side
 from ..geometry.view import View
 
-# Least length of the edge as a share of the mask's longer side; cells along that side, in which silhouettes are compared.
-LEAST_EDGE, CELLS = 0.15, 16
-# Blocks of pixels stand for those of a mask whose longer side has over twice as many.
+# Cells along the mask's longer side, in which silhouettes are compared.
+CELLS = 16
+# Blocks of pixels stand for the pixels of a mask whose longer side has over twice as many.
 SIDE = 256
-# Foreground at the edge is this near, px; it is at least this share, along the edge, of that behind (so far, of that side).
-WITHIN, LEAST_STRAIGHT, BEHIND = 1.5, 0.7, 0.15
-# Least share of the points over so far beyond the edge (of that side); least IoU that is gained without them.
-LEAST_BEYOND, BEYOND, GAIN = 0.05, 0.04, 0.1
+
+
+class Edge:
+    """The straight edge of an occluder. Lengths are shares of the mask's longer side."""
+
+    LEAST_LENGTH = 0.15
+    # Foreground is at the edge if it is nearer than this, px ...
+    AT = 1.5
+    # ... and behind the edge if it is nearer than this length. At least a share of the places along
+    # the edge that have foreground behind it have foreground at it.
+    BEHIND, STRAIGHT_SHARE = 0.15, 0.7
+    # At least a share of the points is farther beyond the edge than this length.
+    BEYOND, BEYOND_SHARE = 0.04, 0.05
+    # The IoU without the points beyond the edge is higher by at least this.
+    LEAST_GAIN = 0.1
 
 
 def occluded(pixels: Array, view: View) -> float | None:
-    """IoU of the mask and those of ``pixels`` [N, 2], the projected cloud, that lie behind the edge of an occluder.
+    """IoU of the mask and the part of the projected cloud behind the edge of an occluder.
 
-    Such an edge is straight, inside the picture, ends the mask, and has part of the cloud beyond it; None where there is none.
+    Such an edge is straight, lies inside the picture, ends the mask, and has a part of the cloud
+    beyond it. None where there is no such edge. ``pixels`` [N, 2] are the projected cloud.
     """
     left, top, right, bottom = view.box()
     step = max(1, int(max(right - left, bottom - top)) // SIDE)
@@ -32,47 +43,45 @@ def occluded(pixels: Array, view: View) -> float | None:
     size = longest_side(outline) + 1.0
     if size < 2 * CELLS or not len(pixels):
         return None
+    last = np.array(inside.shape[::-1]) - 1.0
     corners = _hull(inside)
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = end - start
         length = np.hypot(*along)
         middle = (start + end) / 2.0
-        at_border = (middle < WITHIN).any() or (
-            middle > np.array(inside.shape[::-1]) - 1.0 - WITHIN
-        ).any()
-        if length < LEAST_EDGE * size or at_border:
+        at_border = (middle < Edge.AT).any() or (middle > last - Edge.AT).any()
+        if length < Edge.LEAST_LENGTH * size or at_border:
             continue
         along = along / length
         # Corners run so that the mask is on the left, y pointing down.
-        behind = (outline - start) @ [-along[1], along[0]]
-        strip = behind < BEHIND * size
+        inward = np.array([-along[1], along[0]])
+        behind = (outline - start) @ inward
+        strip = behind < Edge.BEHIND * size
         place = np.floor((outline[strip] - start) @ along).astype(np.int64)
-        at_edge, near = _different(place[behind[strip] < WITHIN]), _different(place)
-        beyond = -(pixels - start) @ [-along[1], along[0]]
-        if (
-            at_edge < max(LEAST_EDGE * size, LEAST_STRAIGHT * near)
-            or (beyond > BEYOND * size).mean() < LEAST_BEYOND
-        ):
+        at_edge, near = _different(place[behind[strip] < Edge.AT]), _different(place)
+        beyond = -(pixels - start) @ inward
+        straight = at_edge >= max(Edge.LEAST_LENGTH * size, Edge.STRAIGHT_SHARE * near)
+        if not straight or (beyond > Edge.BEYOND * size).mean() < Edge.BEYOND_SHARE:
             continue
         without = _iou(outline, pixels[beyond <= 0.0], size)
-        if without >= _iou(outline, pixels, size) + GAIN:
+        if without >= _iou(outline, pixels, size) + Edge.LEAST_GAIN:
             return without
     return None
 
 
-def _blocks(inside: NDArray[np.bool_], step: int) -> NDArray[np.bool_]:
-    """Whether blocks of so many pixels a side hold foreground."""
+def _blocks(inside: Bits, step: int) -> Bits:
+    """Whether blocks of ``step`` x ``step`` pixels hold foreground."""
     for axis in range(2) if step > 1 else ():
         inside = np.logical_or.reduceat(inside, np.arange(0, inside.shape[axis], step), axis)
     return inside
 
 
-def _different(places: NDArray[np.int64]) -> int:
-    """How many different ones there are, without `numpy.unique`, which imports masked arrays."""
+def _different(places: Indices) -> int:
+    """How many of the places differ. `numpy.unique` would import masked arrays."""
     return int(np.count_nonzero(np.bincount(places - places.min()))) if len(places) else 0
 
 
-def _hull(inside: NDArray[np.bool_]) -> Array:
+def _hull(inside: Bits) -> Array:
     """[M, 2], x and y of the corners of the convex hull of foreground pixels, in order."""
     rows = np.flatnonzero(inside.any(1))
     first, last = inside[rows].argmax(1), inside.shape[1] - 1 - inside[rows, ::-1].argmax(1)
@@ -91,6 +100,7 @@ def _turn(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
 
 
 def _iou(outline: Array, pixels: Array, size: float) -> float:
+    """IoU of two sets of pixels [N, 2], in cells."""
     covered, inside = (
         set(map(tuple, np.floor(places * (CELLS / size)).astype(int).tolist()))
         for places in (pixels, outline)

@@ -1,1 +1,1 @@
-"""How good a cloud is: against a target cloud, or against a mask."""
+"""How good a cloud is, compared with a target cloud or with a mask."""

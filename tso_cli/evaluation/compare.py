@@ -1,4 +1,4 @@
-"""Comparing predicted shapes with ground truth under a stated convention."""
+"""Comparison of predicted shapes with ground truth under a stated convention."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, prefixed
-from ..geometry.points import Array, farthest_point_sample, normalise_longest_side
+from ..geometry.arrays import Array
+from ..geometry.points import farthest_point_sample, normalise_longest_side
 from ..geometry.view import View
 from ..io.shapes import read_shape, shape_kind
 from ..losses.silhouette import silhouette_of
@@ -23,7 +24,7 @@ METRICS = ("chamfer", "f_score", "emd", "iou")
 PROTOCOLS = ("plain", "capnet")
 # Size of every cloud in the paper's evaluation.
 CAPNET_POINTS = 1024
-# What a record holds of each metric, in the order of the table.
+# The fields of each metric in a record, in the order of the table.
 FIELDS = {
     "chamfer": ("forward", "backward", "chamfer"),
     "f_score": ("precision", "recall", "f_score"),
@@ -38,13 +39,18 @@ Progress = Callable[[int, int], None]
 class EvalConfig:
     """What to measure, and how; InputError for a value out of range.
 
-    protocol : "plain" takes coordinates as they are. "capnet" is the paper's: each cloud is thinned to ``points``, then centred
-        on its own bounding box and scaled to longest side 1, which hides errors of scale and place; EMD squares its distances.
-    points : thin every cloud first (`farthest_point_sample`). None: all points; under "capnet" at most 1,024.
-    samples, seed : of the surface of a mesh or voxel grid, independent for prediction and target.
-    threshold : of the F-score, in units of the clouds as compared; None for 1 % of the target's longest side.
-    sigma_sq : IoU of the paper's silhouette, Gaussians of this variance in px^2, instead of that of `footprint`.
-    as_vertices : of meshes take the vertices, not the surface.
+    protocol : "plain" takes coordinates as they are. "capnet" is the paper's protocol: each cloud
+        is thinned to ``points``, then centred on its own bounding box and scaled to longest side 1,
+        which hides errors of scale and place. EMD squares its distances.
+    points : number of points to which every cloud is thinned first (`farthest_point_sample`). None
+        takes all points, under "capnet" at most 1,024.
+    samples, seed : number and seed of the samples of the surface of a mesh or voxel grid;
+        prediction and target are sampled independently.
+    threshold : threshold of the F-score, in units of the compared clouds; None for 1 % of the
+        target's longest side.
+    sigma_sq : variance, px^2, of the Gaussians of the paper's silhouette, whose IoU is then
+        measured; None for the silhouette of `footprint`.
+    as_vertices : take the vertices of meshes, and not their surface.
     """
 
     metrics: tuple[str, ...] = ("chamfer",)
@@ -58,12 +64,13 @@ class EvalConfig:
 
     def __post_init__(self) -> None:
         if self.points is not None and self.points < 2:
-            raise InputError(f"--points is {self.points}, expected at least 2")
-        if self.samples < max(2, self.points or 2):
+            raise InputError(f"points is {self.points}, expected at least 2")
+        least = max(2, self.points or 2)
+        if self.samples < least:
             raise InputError(
-                f"--samples is {self.samples}, expected at least {max(2, self.points or 2)} (as many as --points)"
+                f"samples is {self.samples}, expected at least {least}, as many as points"
             )
-        for name, value in (("--threshold", self.threshold), ("--sigma-sq", self.sigma_sq)):
+        for name, value in (("threshold", self.threshold), ("sigma_sq", self.sigma_sq)):
             if value is not None and not 0.0 < value < np.inf:
                 raise InputError(f"{name} is {value:g}, expected a number > 0")
 
@@ -73,8 +80,9 @@ def evaluate(
 ) -> dict[str, Any]:
     """Measure every pair; ``progress`` is called with (done, total) after each.
 
-    Returns JSON-able {"pairs": [{"name", ...}], "mean": {...}, "convention": {...}}; distances are raw, in units of the files
-    or, under the capnet protocol, of the longest side. Raises InputError naming a file that cannot be used.
+    Returns {"pairs": [{"name", ...}], "mean": {...}, "convention": {...}}, which JSON can hold.
+    Distances are raw, in units of the files, or in longest sides under the protocol "capnet".
+    Raises InputError that names the file if one cannot be used.
     """
     records = []
     for done, pair in enumerate(pairs, 1):
@@ -100,17 +108,11 @@ def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
             )
         if "chamfer" in config.metrics:
             distance = chamfer(*compared)
-            record.update(
-                forward=distance.forward, backward=distance.backward, chamfer=distance.chamfer
-            )
+            record |= {name: getattr(distance, name) for name in FIELDS["chamfer"]}
         if "f_score" in config.metrics:
             score = f_score(*compared, config.threshold)
-            record.update(
-                precision=score.precision,
-                recall=score.recall,
-                f_score=score.f_score,
-                threshold=score.threshold,
-            )
+            fields = (*FIELDS["f_score"], "threshold")
+            record |= {name: getattr(score, name) for name in fields}
         if "emd" in config.metrics:
             record["emd"] = emd(*compared, squared=capnet)
     if "iou" in config.metrics:
@@ -134,7 +136,8 @@ def _read(path: Path, config: EvalConfig, seed: int | list[int]) -> Array:
     count = config.points or CAPNET_POINTS
     if len(points) < count:
         raise InputError(
-            f"{path}: holds {len(points):,} points, expected at least the {count:,} of --points"
+            f"{path}: holds {len(points):,} points, expected at least {count:,}; "
+            f"thin the clouds to {len(points)} (`points`)"
         )
     return points[farthest_point_sample(points, count)]
 
@@ -158,19 +161,22 @@ def _convention(config: EvalConfig) -> dict[str, Any]:
     capnet = config.protocol == "capnet"
     count = config.points or (CAPNET_POINTS if capnet else None)
     at_most = " at most" if config.points is None else ""
-    threshold = (
-        f"{config.threshold:g}"
-        if config.threshold
-        else f"{F_SCORE_SHARE:.0%} of the target's longest side"
-    )
+    threshold = f"{F_SCORE_SHARE:.0%} of the target's longest side"
+    if config.threshold:
+        threshold = f"{config.threshold:g}"
+    iou_means = IOU_MEANS
+    if config.sigma_sq is not None:
+        iou_means = (
+            f"Gaussian silhouette (sigma^2 {config.sigma_sq:g} px^2) > 0.5 against mask > 0.5 over "
+            "the image, mean over views"
+        )
     metrics = {
-        "chamfer": "squared distances, mean over points; forward target -> prediction, backward prediction -> target, "
-        "chamfer their sum",
+        "chamfer": "squared distances, mean over points; forward target -> prediction, "
+        "backward prediction -> target, chamfer their sum",
         "f_score": f"distance < threshold, {threshold}",
-        "emd": f"optimal one-to-one assignment, mean {'squared' if capnet else 'Euclidean'} distance",
-        "iou": IOU_MEANS
-        if config.sigma_sq is None
-        else f"Gaussian silhouette (sigma^2 {config.sigma_sq:g} px^2) > 0.5 against mask > 0.5 over the image, mean over views",
+        "emd": "optimal one-to-one assignment, "
+        f"mean {'squared' if capnet else 'Euclidean'} distance",
+        "iou": iou_means,
     }
     return {
         **{name: text for name, text in metrics.items() if name in config.metrics},

@@ -1,7 +1,9 @@
-"""The silhouette of a cloud, its gaps closed by a disc that follows the spacing of the points, and its IoU with a mask.
+"""The silhouette of a cloud, and its IoU with a mask.
 
-The projected points are dilated by the disc, then eroded by a little less, with distance transforms on a grid of the window.
-The disc depends on the spacing alone, so that neither the size of the photo nor the number of points decides what is a gap.
+A disc closes the gaps between the projected points: they are dilated by the disc, then eroded by a
+little less, with distance transforms on a grid of the window. The radius of the disc depends on the
+spacing of the points alone, so that neither the size of the photo nor the number of points decides
+what is a gap.
 """
 
 from __future__ import annotations
@@ -12,43 +14,50 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.arrays import Array, Bits, Box
 from ..geometry.camera import NEAR, Camera
 from ..geometry.points import longest_side, quantile
 from ..geometry.view import View
-from ..geometry.window import Array, Box, window_of
+from ..geometry.window import window_of
 from .metrics import iou
 
-Bools = NDArray[np.bool_]
-
-# Radius of the disc in spacings: for evenly spaced points, and for random ones, whose gaps are wider.
+# Radius of the disc in spacings, for evenly spaced points and for random points, whose gaps are
+# wider.
 EVEN, RANDOM = 1.0, 1.4
-# The outline lies so many spacings beyond the outermost points: samples are inside the true outline.
+# The outline lies this many spacings outside the outermost points, because samples of a surface lie
+# inside its true outline.
 RIM = 0.15
-# Least radius and rim in cells of the grid.
+# Least radius and rim, in cells of the grid: smaller ones would be lost between cells.
 LEAST_RADIUS, LEAST_RIM = 1.5, 0.25
-# Largest radius relative to the window's longer side: points far apart do not form a surface.
-WIDEST = 1.0 / 8.0
-# Cells along the longer side of a window with more pixels, and the fewest of one with less: its pixels are divided.
-CELLS, FEWEST = 256, 214
-# The spacing is estimated from the distance of at most SAMPLES points to so many neighbours among at most CLOUD points.
-NEIGHBOURS, SAMPLES, CLOUD = 8, 128, 4096
+# Largest radius, in longer sides of the window: points far apart form no surface.
+LARGEST_RADIUS = 1.0 / 8.0
+# Cells along the longer side of a window that has more pixels. The pixels of a smaller window are
+# divided into cells, so that there are at least the second number.
+MOST_CELLS, LEAST_CELLS = 256, 214
+# The spacing is estimated from this many points, their distances to this many neighbours, among at
+# most this many points of the cloud.
+SPACING_QUERIES, SPACING_NEIGHBOURS, SPACING_POINTS = 128, 8, 4096
 
 IOU_MEANS = (
-    "intersection over union of the mask (> 0.5) and the cloud's silhouette, its points joined over gaps of up to "
-    f"{2.0 * EVEN:g} to {2.0 * RANDOM:g} spacings, over the known pixels of the square around both; mean over views"
+    "intersection over union of the mask (> 0.5) and the cloud's silhouette, its points joined "
+    f"over gaps of up to {2.0 * EVEN:g} to {2.0 * RANDOM:g} spacings, over the known pixels of the "
+    "square around both; mean over views"
 )
 
 
-class Seen(NamedTuple):
-    """In a window, [H, W] each; known is None where all pixels are."""
+class WindowImages(NamedTuple):
+    """Images [H, W] of a window; ``known`` is None if all pixels are known."""
 
-    silhouette: Bools
-    mask: Bools
-    known: Bools | None
+    silhouette: Bits
+    mask: Bits
+    known: Bits | None
 
 
 def common_window(stages: Sequence[tuple[Array, View]]) -> Box:
-    """Left, top, right, bottom of the window that holds a mask and several clouds [N, 3], each seen by its view's camera."""
+    """Left, top, right, bottom of the window that holds a mask and several clouds [N, 3].
+
+    Each cloud is projected by the camera of its own view.
+    """
     edges = np.array([window_of(view, points) for points, view in stages])
     left, top = edges[:, :2].min(0).tolist()
     right, bottom = edges[:, 2:].max(0).tolist()
@@ -56,38 +65,36 @@ def common_window(stages: Sequence[tuple[Array, View]]) -> Box:
 
 
 def window_iou(points: Array, view: View, box: Box | None = None) -> float:
-    """IoU of the silhouette of ``points`` [N, 3] and the mask (> 0.5), over the known pixels of the window ``box``.
+    """IoU of the silhouette of ``points`` [N, 3] and the mask (> 0.5) in the window ``box``.
 
-    That is by default the square around mask and cloud. 0 where it is so large that its cells miss all known pixels.
+    Only known pixels count. The default window is the square around mask and cloud. The IoU is 0 if
+    the window is so large that its cells miss all known pixels.
     """
     score = iou(*in_window(points, view, window_of(view, points) if box is None else box))
     return 0.0 if np.isnan(score) else score
 
 
-def in_window(points: Array, view: View, box: Box) -> Seen:
-    """Silhouette and mask in the part of ``box`` that lies in the image, as `window_iou` compares them.
+def in_window(points: Array, view: View, box: Box) -> WindowImages:
+    """Silhouette and mask, as `window_iou` compares them, in the part of ``box`` in the image.
 
-    A window of fewer than 256 pixels is compared pixel by pixel; the silhouette has those that it covers by half. A larger one
-    is sampled at the centres of 256 x 256 cells, so that the time does not grow with the photo.
+    A window of fewer than 256 pixels is compared pixel by pixel; a pixel is in the silhouette if
+    more than half of it is covered. A larger window is sampled at the centres of 256 x 256 cells,
+    so that the time does not grow with the photo.
     """
     camera = view.camera
     first, last = np.array(box).reshape(2, 2)
-    step, fine = float((last - first).max()) / CELLS, 1
+    step, fine = float((last - first).max()) / MOST_CELLS, 1
     if step < 1.0:
         first, last = np.floor(first + 0.5) - 0.5, np.ceil(last + 0.5) - 0.5
-        step, fine = 1.0, int(np.ceil(FEWEST / float((last - first).max())))
+        step, fine = 1.0, int(np.ceil(LEAST_CELLS / float((last - first).max())))
     size = np.array([camera.width, camera.height])
     first, last = np.maximum(first, -0.5), np.minimum(last, size - 0.5)
     counts = np.maximum(np.rint((last - first) / step), 1.0)
     last = first + step * counts
-    (left, top), (right, bottom), (width, height) = (
-        first.tolist(),
-        last.tolist(),
-        counts.astype(int).tolist(),
-    )
-    silhouette = footprint(
-        points, camera.cropped((left, top, right, bottom), fine * width, fine * height)
-    )
+    (left, top), (right, bottom) = first.tolist(), last.tolist()
+    width, height = counts.astype(int).tolist()
+    part = camera.cropped((left, top, right, bottom), fine * width, fine * height)
+    silhouette = footprint(points, part)
     if fine > 1:
         silhouette = silhouette.reshape(height, fine, width, fine).mean((1, 3)) > 0.5
     columns, rows = (
@@ -95,30 +102,32 @@ def in_window(points: Array, view: View, box: Box) -> Seen:
         for start, count, most in ((left, width, camera.width), (top, height, camera.height))
     )
     known = None if view.known is None else view.known[rows[:, None], columns]
-    return Seen(silhouette, view.mask[rows[:, None], columns] > 0.5, known)
+    return WindowImages(silhouette, view.mask[rows[:, None], columns] > 0.5, known)
 
 
 def spacing(points: Array) -> tuple[float, float]:
-    """Spacing of the points [N, 3] of a surface, and the radius of the disc that closes the gaps between them.
+    """Spacing of the points [N, 3] of a surface, and radius of the disc that closes their gaps.
 
-    They are 1 / sqrt(points per area), the median over the cloud, and 1 to 1.4 times that; 0 if all points are equal.
+    The spacing is 1 / sqrt(points per area), the median over the cloud. The radius is 1 to 1.4
+    spacings. Both are 0 if all points are equal.
     """
     unit = longest_side(points)
     if unit == 0.0:
         return 0.0, 0.0
-    cloud = _subset(points, CLOUD)
+    cloud = _subset(points, SPACING_POINTS)
     cloud = (cloud - cloud.mean(0)) / unit
-    queries, count = _subset(cloud, SAMPLES), min(NEIGHBOURS, len(cloud) - 1)
+    queries, count = _subset(cloud, SPACING_QUERIES), min(SPACING_NEIGHBOURS, len(cloud) - 1)
     squared = queries @ cloud.T
     squared *= -2.0
     squared += np.square(cloud).sum(1)
-    # The smallest distance is that of the point to itself.
+    # The smallest distance is the distance of a point to itself.
     squared.partition([1, count], axis=1)
     squared = squared[:, [1, count]] + np.square(queries).sum(1)[:, None]
     nearest, farthest = np.sqrt(np.maximum(quantile(squared, 0.5), 0.0)).tolist()
     # A disc of radius ``farthest`` holds ``count`` points.
     spaced = farthest * float(np.sqrt(np.pi / count))
-    # The nearest neighbour is at 0.9 spacings among evenly spaced points, at 0.5 among random ones.
+    # The nearest neighbour is at 0.9 spacings among evenly spaced points, and at 0.5 among random
+    # points: the formula gives 1 and 1.4 spacings.
     radius = min(max(2.0 * spaced - 1.1 * nearest, EVEN * spaced), RANDOM * spaced)
     # A subset has a larger spacing than the cloud.
     unit *= float(np.sqrt(len(cloud) / len(points)))
@@ -131,15 +140,16 @@ def _subset(points: Array, most: int) -> Array:
     return points[np.random.default_rng(0).choice(len(points), most, replace=False, shuffle=False)]
 
 
-def footprint(points: Array, camera: Camera) -> Bools:
-    """The silhouette [H, W] of a cloud [N, 3]: a closing by a disc of 1 to 1.4 spacings, and a rim of 0.15 spacings.
+def footprint(points: Array, camera: Camera) -> Bits:
+    """The silhouette [H, W] of a cloud [N, 3] on the grid of the camera's image.
 
-    The camera's image is the grid. Points beyond its borders count, those at or behind the camera do not.
+    The projected points are closed by a disc of 1 to 1.4 spacings, and get a rim of 0.15 spacings.
+    Points outside the image count; points at or behind the camera do not.
     """
     size = np.array([camera.width, camera.height])
-    widest = WIDEST * float(size.max())
+    widest = LARGEST_RADIUS * float(size.max())
     pixels, depth = camera.project(points)
-    # Points farther outside change nothing inside; NaN compares false.
+    # Points further outside change nothing in the image; NaN compares false.
     visible = (np.abs(pixels - (size - 1.0) / 2.0) < size / 2.0 + 2.0 * widest).all(1)
     scale = np.full(len(points), np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
     if camera.model == "perspective":
@@ -164,7 +174,8 @@ def footprint(points: Array, camera: Camera) -> Bools:
 
     point = number.ravel()[_nearest(number >= 0, border)]
     beyond = np.hypot(x[point] - column, y[point] - row) - radius[point]
-    # The point in the nearest cell need not be the nearest one: near the edge try those of the adjacent cells too.
+    # The point in the nearest cell may not be the nearest point. Near the edge the points found by
+    # the adjacent cells are tried too.
     edge = np.nonzero((beyond > 0.0) & (beyond < 1.5))
     for down, right in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         adjacent = point[edge[0] + down, edge[1] + right]
@@ -172,7 +183,7 @@ def footprint(points: Array, camera: Camera) -> Bools:
             beyond[edge], np.hypot(x[adjacent] - edge[1], y[adjacent] - edge[0]) - radius[adjacent]
         )
     outside = _nearest(beyond > 0.0, border)
-    # The nearest outside cell lies ``beyond`` the edge of the discs.
+    # The nearest cell outside lies ``beyond`` the edge of the discs.
     rows, columns = np.divmod(outside, number.shape[1])
     depth_inside = np.hypot(columns - column, rows - row) - beyond.ravel()[outside]
     inside = (beyond <= 0.0) & ((outside < 0) | (depth_inside > (radius - rim)[point]))
@@ -184,8 +195,11 @@ def footprint(points: Array, camera: Camera) -> Bools:
     return silhouette
 
 
-def _nearest(cells: Bools, within: int) -> NDArray[np.signedinteger]:
-    """Flat index [H, W] of the nearest of ``cells`` [H, W]; -1 where none is within so many rows and columns."""
+def _nearest(cells: Bits, within: int) -> NDArray[np.signedinteger]:
+    """Flat index [H, W] of the nearest of ``cells`` [H, W].
+
+    It is -1 where no cell is ``within`` this many rows and columns.
+    """
     bits = cells.size.bit_length()
     # Squared distance and index in one integer, so that a minimum finds both.
     kind = np.int32 if (2 * within**2).bit_length() + bits < 30 else np.int64

@@ -15,27 +15,19 @@ from ..io.cameras import check_size, find_camera, read_camera, read_cameras
 from ..io.images import read_mask
 from ..io.shapes import SUFFIXES
 
-# In a folder a .txt is more often a note than a cloud.
+# In a folder a .txt file is more often a note than a cloud.
 FOLDER_SUFFIXES = tuple(suffix for suffix in SUFFIXES if suffix != ".txt")
+# Endings of the files that belong to a name, in the order in which they are tried.
 MASKS = (
-    ".png",
-    ".mask.png",
-    "/mask.png",
-    ".npy",
-    ".bmp",
-    ".tif",
-    ".tiff",
-    ".webp",
-    ".gif",
-    ".jpg",
+    ".png", ".mask.png", "/mask.png", ".npy", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".jpg",
     ".jpeg",
-)
+)  # fmt: skip
 CAMERAS = (".camera.json", ".json", "/camera.json", "/cameras.json")
 
 
 @dataclass(frozen=True)
 class Pair:
-    """A prediction and its target; for IoU also the files of the masks and cameras."""
+    """A prediction and its target, and for the IoU also the files of masks and cameras."""
 
     name: str
     prediction: Path
@@ -44,20 +36,25 @@ class Pair:
     camera: Path | None = None
 
     def views(self) -> Iterator[tuple[Path, NDArray[np.float32], Camera]]:
-        """Files of the masks, masks and cameras; InputError where files are missing or sizes differ."""
+        """The file of each mask, the mask and the camera.
+
+        Raises InputError if a file is missing or sizes differ.
+        """
         if self.mask is not None:
             mask = read_mask(self.mask)
             source = self.camera or find_camera(self.mask)
             if source is None:
-                beside = f"{self.mask.stem}.camera.json or camera.json"
-                raise InputError(f"{self.mask}: no {beside} beside it, expected one or --camera")
+                names = f"{self.mask.stem}.camera.json or camera.json"
+                raise InputError(
+                    f"{self.mask}: found no {names} next to it, expected one or `camera`"
+                )
             yield self.mask, mask, read_camera(source, mask.shape[1], mask.shape[0], self.mask)
             return
         assert self.camera is not None
         for number, record in enumerate(read_cameras(self.camera)):
             if record.mask is None:
                 raise InputError(
-                    f"{self.camera}: view {number} names no mask, expected one or --mask"
+                    f"{self.camera}: view {number} names no mask, expected one or `mask`"
                 )
             mask = read_mask(record.mask)
             check_size(self.camera, record.camera, mask.shape[1], mask.shape[0], record.mask)
@@ -71,12 +68,14 @@ def find_pairs(
     camera: Path | None = None,
     suffix: str = "",
 ) -> list[Pair]:
-    """Two files, or the files of two folders matched by name: the path in the folder without its suffix.
+    """Two files, or the files of two folders matched by name.
 
-    ``mask`` and ``camera`` are a file for all pairs, or a folder with one file for each name (NAME.png, NAME.camera.json
-    and so on). In folders, ``suffix`` takes only predictions whose names end in it, and matches them without it: ".refined".
+    A name is the path in the folder without its suffix. ``mask`` and ``camera`` are one file for
+    all pairs, or a folder with one file for each name (NAME.png, NAME.camera.json and so on). With
+    a ``suffix`` such as ".refined" only predictions whose names end in it are taken, and are
+    matched without it.
 
-    Raises InputError if the two sides do not match, or a name has no mask or camera.
+    Raises InputError if the two sides do not match, or if a name has no mask or camera.
     """
     for path in (prediction, target, *(extra for extra in (mask, camera) if extra is not None)):
         if not path.exists():
@@ -90,7 +89,7 @@ def find_pairs(
         predictions, targets = _by_name(prediction, suffix), _by_name(target)
         _require_same_names(prediction, predictions, target, targets, suffix)
     elif suffix:
-        raise InputError(f"--suffix {suffix} matches names in folders, but {prediction} is a file")
+        raise InputError(f"`suffix` {suffix} matches names in folders, but {prediction} is a file")
     else:
         predictions, targets = {prediction.stem: prediction}, {prediction.stem: target}
     return [
@@ -127,7 +126,8 @@ def _by_name(folder: Path, suffix: str = "") -> dict[str, Path]:
     if not paths:
         ending = f"ending in {suffix} " if suffix else ""
         raise InputError(
-            f"{folder}: no file {ending}to judge in this folder or below, expected {', '.join(FOLDER_SUFFIXES)}"
+            f"{folder}: no file {ending}to evaluate in this folder or its folders, "
+            f"expected {', '.join(FOLDER_SUFFIXES)}"
         )
     return paths
 
@@ -145,18 +145,16 @@ def _require_same_names(
         (target, prediction, targets.keys() - predictions.keys()),
     ):
         if names := sorted(unmatched):
-            listed = ", ".join(names[:3]) + (
-                f" and {len(names) - 3} more" if len(names) > 3 else ""
-            )
-            parts.append(f"{folder} has {listed}, which {other} has not")
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            parts.append(f"{folder} has {', '.join(names[:3])}{more}, which {other} has not")
     if parts:
         refined = not suffix and any(name.endswith(".refined") for name in predictions)
-        advice = " (--suffix .refined takes the predictions that end so)" if refined else ""
+        advice = " (`suffix` .refined takes predictions with this ending)" if refined else ""
         raise InputError("; ".join(parts) + ": expected the same names in both" + advice)
 
 
 def _companion(path: Path | None, name: str, endings: Sequence[str], what: str) -> Path | None:
-    """``path``, or in a folder the file in it that belongs to ``name``."""
+    """``path``, or if it is a folder the file in it that belongs to ``name``."""
     if path is None or not path.is_dir():
         return path
     for ending in endings:

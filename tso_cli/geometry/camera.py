@@ -1,7 +1,8 @@
 """The camera model and the frame changes that keep its pictures the same.
 
-Conventions (OpenCV): x right, y down, z forward; ``X_camera = R X_world + t``; ``u`` is the column and ``v`` the row of a
-pixel, whose centre lies at integer coordinates. ``K`` is in pixels of the image it belongs to.
+Conventions (OpenCV): x right, y down, z forward; ``X_camera = R X_world + t``. ``u`` is the column
+and ``v`` the row of a pixel. The centre of a pixel lies at integer coordinates. ``K`` is in pixels
+of the image that it belongs to.
 """
 
 from __future__ import annotations
@@ -9,23 +10,27 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
+from .arrays import Array, Bits, Box
+from .points import longest_side
 
-Array = NDArray[np.float64]
-
+# The canonical camera is the camera of the CAPNet authors' code.
 CANONICAL_ROTATION = np.diag([1.0, -1.0, -1.0])
 CANONICAL_DISTANCE = 2.0
-CANONICAL_FOCAL_AT_64 = 120.0
+CANONICAL_FOCAL_AT_64 = 120.0  # pixels, for an image whose longer side is 64 pixels
 MODELS = ("perspective", "orthographic")
-# Points nearer than this to the plane of the camera are culled, in units of the cloud's longest side.
+# The least depth of a visible point, in units of the cloud's longest side.
 NEAR = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One calibrated view; InputError if a shape is wrong, a number is not finite, K is singular or R is not a rotation."""
+    """One calibrated view.
+
+    Raises InputError if a shape is wrong, a number is not finite, K is singular or R is not a
+    rotation.
+    """
 
     K: Array  # [3, 3] intrinsics in pixels of the image; last row (0, 0, 1)
     R: Array  # [3, 3] rotation, world to camera
@@ -36,52 +41,51 @@ class Camera:
 
     def __post_init__(self) -> None:
         for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if value.shape != shape:
-                raise InputError(f"{name} has shape {list(value.shape)}, expected {list(shape)}")
-            if not np.isfinite(value).all():
-                raise InputError(f"{name} holds a number that is not finite")
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, self._checked_array(name, shape))
         for name in ("width", "height"):
-            size = getattr(self, name)
-            if (
-                isinstance(size, bool)
-                or not isinstance(size, (int, float, np.integer))
-                or not size >= 1
-                or size % 1
-            ):
-                raise InputError(
-                    f"{name} is {size!r}, expected a whole number of pixels, 1 or more"
-                )
-            object.__setattr__(self, name, int(size))
+            object.__setattr__(self, name, self._checked_size(name))
         if self.model not in MODELS:
             raise InputError(f"model is {self.model!r}, expected one of {', '.join(MODELS)}")
         if (np.abs(self.K[2] - [0.0, 0.0, 1.0]) > [1e-8, 1e-8, 1e-5]).any() or self.K[1, 0] != 0.0:
             raise InputError(
                 f"K is {self.K.tolist()}, expected [[fx, s, cx], [0, fy, cy], [0, 0, 1]]"
             )
-        if min(self.K[0, 0], self.K[1, 1]) <= 0.0:
+        fx, fy = self.K[0, 0], self.K[1, 1]
+        if min(fx, fy) <= 0.0:
             raise InputError(
-                f"K is singular or mirrored: fx = {self.K[0, 0]:g}, fy = {self.K[1, 1]:g}, expected both > 0"
+                f"K is singular or mirrored: fx = {fx:g}, fy = {fy:g}, expected both > 0"
             )
         with np.errstate(over="ignore", invalid="ignore"):
             error, handedness = np.abs(self.R @ self.R.T - np.eye(3)).max(), np.linalg.det(self.R)
         if not (error <= 1e-3 and handedness > 0.0):
             raise InputError(
-                f"R is not a rotation: |R R^T - I| = {error:.2g}, det R = {handedness:.3g}, expected 0 and 1"
+                f"R is not a rotation: |R R^T - I| = {error:.2g}, det R = {handedness:.3g}, "
+                "expected 0 and 1"
             )
+
+    def _checked_array(self, name: str, shape: tuple[int, ...]) -> Array:
+        value = np.asarray(getattr(self, name), dtype=np.float64)
+        if value.shape != shape:
+            raise InputError(f"{name} has shape {list(value.shape)}, expected {list(shape)}")
+        if not np.isfinite(value).all():
+            raise InputError(f"{name} holds a number that is not finite, expected finite ones")
+        return value
+
+    def _checked_size(self, name: str) -> int:
+        size = getattr(self, name)
+        number = isinstance(size, (int, float, np.integer)) and not isinstance(size, bool)
+        if not number or not size >= 1 or size % 1:
+            raise InputError(f"{name} is {size!r}, expected a whole number of pixels, 1 or more")
+        return int(size)
 
     @classmethod
     def canonical(cls, width: int, height: int) -> Camera:
-        """The camera assumed when none is given: that of the CAPNet authors' code.
+        """The camera that is assumed when none is given: the camera of the CAPNet authors' code.
 
-        The cloud is aligned with the view (x right, y up, z toward the viewer) and centred 2 units away; the focal length is
-        120 px for each 64 px of the longer side.
+        The cloud is aligned with the view (x right, y up, z toward the viewer). Its centre is 2
+        units away. The focal length is 120 px for each 64 px of the longer side.
         """
-        focal = CANONICAL_FOCAL_AT_64 * max(width, height) / 64.0
-        K = np.array(
-            [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
-        )
+        K = intrinsics(CANONICAL_FOCAL_AT_64 * max(width, height) / 64.0, width, height)
         return cls(K, CANONICAL_ROTATION, np.array([0.0, 0.0, CANONICAL_DISTANCE]), width, height)
 
     @property
@@ -90,11 +94,11 @@ class Camera:
         return -self.R.T @ self.t
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera for its image resized to ``width`` x ``height`` (pixel centres at integers)."""
+        """The same camera for its image resized to ``width`` x ``height``."""
         return self.cropped((-0.5, -0.5, self.width - 0.5, self.height - 0.5), width, height)
 
-    def cropped(self, box: tuple[float, float, float, float], width: int, height: int) -> Camera:
-        """The camera of the region ``box`` resized: left, top, right, bottom, where the whole image is -0.5 to width - 0.5."""
+    def cropped(self, box: Box, width: int, height: int) -> Camera:
+        """The camera of the region ``box`` of the image, resized to ``width`` x ``height``."""
         left, top, right, bottom = box
         sx, sy = width / (right - left), height / (bottom - top)
         change = np.array(
@@ -110,7 +114,10 @@ class Camera:
         return replace(self, K=K, t=(self.R @ centre + self.t) / scale)
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Pixel coordinates [N, 2] and depth [N] of ``points`` [N, 3] (Eq. 1 of the paper); NaN behind a perspective camera."""
+        """Pixel coordinates [N, 2] and depth [N] of ``points`` [N, 3] (Eq. 1 of the paper).
+
+        The pixel coordinates of points behind a perspective camera are NaN.
+        """
         camera = points @ self.R.T + self.t
         depth = camera[:, 2]
         plane = camera[:, :2]
@@ -118,3 +125,23 @@ class Camera:
             with np.errstate(divide="ignore", invalid="ignore"):
                 plane = np.where(depth[:, None] > 0.0, plane / depth[:, None], np.nan)
         return plane @ self.K[:2, :2].T + self.K[:2, 2], depth
+
+    def project_visible(self, points: Array) -> tuple[Array, Array, Bits]:
+        """As `project`, and which of the points [N] are visible.
+
+        A point is visible if its pixel coordinates are finite, inside the image or not. A
+        perspective camera sees only points whose depth is more than NEAR times the longest side of
+        the cloud ``points``.
+        """
+        pixels, depth = self.project(points)
+        visible: Bits = np.asarray(np.isfinite(pixels).all(1))
+        if self.model == "perspective":
+            visible &= depth > NEAR * longest_side(points)
+        return pixels, depth, visible
+
+
+def intrinsics(focal: float, width: int, height: int) -> Array:
+    """K [3, 3] with the focal length ``focal`` in pixels and the principal point in the middle."""
+    return np.array(
+        [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
+    )

@@ -1,4 +1,4 @@
-"""Measures and samples of points and surfaces that need numpy alone."""
+"""Measures and samples of points and surfaces. Only numpy is needed."""
 
 from __future__ import annotations
 
@@ -9,18 +9,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .camera import Array
+from .arrays import Array, Indices
 
 Number = TypeVar("Number", bound=np.generic)
 
-# Points among which farthest-point sampling chooses about a thousand.
+# Farthest-point sampling chooses about a thousand points. In a large cloud it chooses them among
+# this many: its time grows with the number of candidates.
 CANDIDATES = 16_384
-# Its multiples, without their whole parts, fill the unit interval evenly.
+# The fractional parts of the multiples of the golden ratio fill the unit interval evenly.
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 def as_points(points: ArrayLike, name: str = "cloud") -> Array:
-    """``points`` as a float64 array [N, 3] with N >= 1 and finite coordinates; InputError naming ``name`` otherwise."""
+    """``points`` as a float64 array [N, 3] with N >= 1 and finite coordinates.
+
+    Raises InputError, which begins with ``name``, if they are anything else.
+    """
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"{name}: shape is {list(array.shape)}, expected points [N, 3]")
@@ -28,41 +32,54 @@ def as_points(points: ArrayLike, name: str = "cloud") -> Array:
         raise InputError(f"{name}: holds no points, expected at least one")
     finite = np.isfinite(array).all(1)
     if not finite.all():
-        raise InputError(f"{name}: point {int(np.argmin(finite))} has a NaN or infinite coordinate")
+        raise InputError(
+            f"{name}: point {int(np.argmin(finite))} has a NaN or infinite coordinate, "
+            "expected numbers"
+        )
     return array
 
 
 def quantile(values: Array, share: float) -> Array:
-    """As `numpy.quantile` by the first axis of ``values`` [N, ...]; that imports masked arrays, a tenth of a small command."""
+    """The quantile ``share`` of ``values`` [N, ...] along the first axis, as `numpy.quantile`.
+
+    `numpy.quantile` imports masked arrays, which takes a tenth of the time of a small command.
+    """
     place = share * (len(values) - 1)
     low, high = int(place), min(int(place) + 1, len(values) - 1)
     ordered = np.partition(values, (low, high), axis=0)
-    between: Array = ordered[low] + (place - low) * (ordered[high] - ordered[low])
-    return between
+    interpolated: Array = ordered[low] + (place - low) * (ordered[high] - ordered[low])
+    return interpolated
 
 
 def scattered(points: NDArray[Number], most: int) -> NDArray[Number]:
-    """At most so many of ``points`` [N, ...], in their order. Equal steps may take one column of an organised cloud."""
+    """At most ``most`` of ``points`` [N, ...], evenly from the whole array and in its order.
+
+    Every k-th point will not do: of a cloud whose points form rows and columns, as a depth camera
+    gives it, that may be a single column.
+    """
     if len(points) <= most:
         return points
-    # Some of these places may be the same.
+    # Some of these indices may be equal.
     return points[np.unique((len(points) * (np.arange(most) * GOLDEN % 1.0)).astype(np.int64))]
 
 
-def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Indices [count] of a subset spread out greedily, in the order of choice: the first k are the sample of size k.
+def farthest_point_sample(points: ArrayLike, count: int) -> Indices:
+    """Indices [count] of points that are far apart, in the order in which they are chosen.
 
-    The first index is 0; each new point is the one farthest from all chosen so far, among equals the first. Points [N, 3] may
-    coincide; no index is chosen twice. O(N count) time. Raises InputError where ``count`` is out of range.
+    The first index is 0. Each next point is the point of ``points`` [N, 3] that is farthest from
+    all chosen points; of equally far points it is the first. The first k indices are thus the
+    sample of size k. Points may coincide; no index is chosen twice. Takes O(N count) time.
+
+    Raises InputError if ``count`` is not from 1 to N.
     """
     array = as_points(points)
     total = len(array)
     if not 1 <= count <= total:
         raise InputError(f"asked for {count} of {total} points, expected 1 to {total}")
-    # Contiguous columns, and no allocation inside the loop over all points.
+    # For speed: contiguous columns, and no allocation inside the loop.
     x, y, z = (np.ascontiguousarray(column) for column in array.T)
-    squared, step = np.empty(total), np.empty(total)
-    nearest = np.full(total, np.inf)  # squared distance to the chosen set
+    squared, difference = np.empty(total), np.empty(total)
+    nearest = np.full(total, np.inf)  # squared distance to the nearest chosen point
     chosen = np.empty(count, dtype=np.int64)
     index = 0
     for i in range(count):
@@ -70,11 +87,11 @@ def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
         np.subtract(x, x[index], out=squared)
         np.multiply(squared, squared, out=squared)
         for column in (y, z):
-            np.subtract(column, column[index], out=step)
-            np.multiply(step, step, out=step)
-            np.add(squared, step, out=squared)
+            np.subtract(column, column[index], out=difference)
+            np.multiply(difference, difference, out=difference)
+            np.add(squared, difference, out=squared)
         np.minimum(nearest, squared, out=nearest)
-        # Below every distance: where points coincide, no index is chosen again.
+        # Less than any distance: no index is chosen twice, even if all points coincide.
         nearest[index] = -1.0
         index = int(nearest.argmax())
     return chosen
@@ -83,11 +100,12 @@ def farthest_point_sample(points: ArrayLike, count: int) -> NDArray[np.int64]:
 def spread_subset(
     points: ArrayLike,
     count: int,
-    sample: Callable[[Array, int], NDArray[np.int64]] = farthest_point_sample,
-) -> NDArray[np.int64]:
-    """Indices of at most ``count`` evenly spread points [N, 3]; of a large cloud, chosen among some of them.
+    sample: Callable[[Array, int], Indices] = farthest_point_sample,
+) -> Indices:
+    """Indices of at most ``count`` evenly spread points of ``points`` [N, 3].
 
-    ``sample`` is another form of `farthest_point_sample`.
+    In a cloud of over CANDIDATES points they are chosen among that many. ``sample`` is the
+    implementation of `farthest_point_sample` to use.
     """
     array = as_points(points)
     indices = np.arange(len(array))
@@ -98,21 +116,23 @@ def spread_subset(
 
 
 def bounds(points: Array) -> tuple[Array, Array]:
-    """[D] least and largest coordinates of points [N, D]; axis by axis, which is a tenth of the time."""
+    """[D] least and largest coordinates of points [N, D]."""
+    # Contiguous axes take a tenth of the time.
     axes = np.ascontiguousarray(points.T)
     return axes.min(1), axes.max(1)
 
 
 def longest_side(points: Array) -> float:
-    """Of the bounding box of points [N, D]."""
+    """The longest side of the bounding box of points [N, D]."""
     low, high = bounds(points)
     return float((high - low).max())
 
 
 def bounding_box_normalisation(points: ArrayLike, name: str = "cloud") -> tuple[Array, float]:
-    """Centre [3] and longest side of a cloud's bounding box: ``(points - centre) / scale`` is centred, of longest side 1.
+    """Centre [3] and longest side, ``scale``, of a cloud's bounding box.
 
-    Raises InputError naming ``name`` where all points are equal, or the box has no finite size.
+    ``(points - centre) / scale`` is centred at the origin and has longest side 1. Raises
+    InputError, which begins with ``name``, if all points are equal or the box has no finite size.
     """
     array = as_points(points, name)
     low, high = bounds(array)
@@ -131,7 +151,10 @@ def bounding_box_normalisation(points: ArrayLike, name: str = "cloud") -> tuple[
 
 
 def normalise_longest_side(points: ArrayLike, name: str = "cloud") -> Array:
-    """``points`` [N, 3] centred on their bounding box and scaled uniformly to longest side 1; raises as the above."""
+    """``points`` [N, 3] centred on their bounding box and scaled to longest side 1.
+
+    Raises InputError as `bounding_box_normalisation`.
+    """
     centre, scale = bounding_box_normalisation(points, name)
     return (as_points(points, name) - centre) / scale
 
@@ -139,7 +162,10 @@ def normalise_longest_side(points: ArrayLike, name: str = "cloud") -> Array:
 def sample_surface(
     vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator
 ) -> Array:
-    """Points [count, 3] drawn uniformly by area from the triangles ``faces`` [F, 3]; InputError where they have no area."""
+    """Points [count, 3] drawn uniformly by area from the triangles ``faces`` [F, 3].
+
+    Raises InputError if there are no triangles or they have no area.
+    """
     corners = as_points(vertices, "mesh")
     triangles = as_triangles(faces, len(corners), "mesh")
     drawn, barycentric = draw_surface(corners, triangles, count, rng)
@@ -147,13 +173,16 @@ def sample_surface(
     return origin + barycentric[:, :1] * (first - origin) + barycentric[:, 1:] * (second - origin)
 
 
-def as_triangles(faces: ArrayLike, count: int, name: str) -> NDArray[np.int64]:
-    """``faces`` as int64 [F, 3] that index ``count`` vertices; InputError naming ``name`` otherwise."""
+def as_triangles(faces: ArrayLike, count: int, name: str) -> Indices:
+    """``faces`` as int64 [F, 3], indices of ``count`` vertices.
+
+    Raises InputError, which begins with ``name``, if they are anything else.
+    """
     try:
         triangles = np.asarray(faces)
     except ValueError:
         raise InputError(
-            f"{name}: the faces are no array of whole numbers, expected triangles [F, 3]"
+            f"{name}: the faces are not an array of whole numbers, expected triangles [F, 3]"
         ) from None
     if triangles.ndim != 2 or triangles.shape[1] != 3:
         raise InputError(
@@ -164,28 +193,31 @@ def as_triangles(faces: ArrayLike, count: int, name: str) -> NDArray[np.int64]:
     outside = (triangles < 0) | (triangles >= count)
     if outside.any():
         raise InputError(
-            f"{name}: a face names vertex {triangles[outside][0]}, outside 0 to {count - 1}"
+            f"{name}: a face names vertex {triangles[outside][0]}, expected 0 to {count - 1}"
         )
     return triangles.astype(np.int64)
 
 
 def draw_surface(
-    corners: Array, triangles: NDArray[np.int64], count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.int64], Array]:
-    """Of ``count`` points drawn uniformly by area the triangles [count], and [count, 2] their barycentric coordinates of the
-    second and the third corner; InputError if there are no triangles, or they have no area.
+    vertices: Array, triangles: Indices, count: int, rng: np.random.Generator
+) -> tuple[Indices, Array]:
+    """Draw ``count`` points uniformly by area from the ``triangles`` [F, 3] of ``vertices`` [V, 3].
+
+    Returns the triangle of each point [count], and its barycentric coordinates of the second and
+    the third corner [count, 2]. Raises InputError if there are no triangles or they have no area.
     """
     if len(triangles) == 0:
         raise InputError("mesh: there are no faces, expected at least one triangle")
-    origin = corners[triangles[:, 0]]
-    first, second = corners[triangles[:, 1]] - origin, corners[triangles[:, 2]] - origin
-    # In units of the longest edge: areas of very small or very large meshes neither vanish nor overflow.
+    origin = vertices[triangles[:, 0]]
+    first, second = vertices[triangles[:, 1]] - origin, vertices[triangles[:, 2]] - origin
+    # Areas are in units of the longest edge: then those of very small or very large meshes neither
+    # vanish nor overflow.
     unit = max(float(np.abs(first).max()), float(np.abs(second).max())) or 1.0
     area = np.linalg.norm(np.cross(first / unit, second / unit), axis=1)
     if not area.any():
         raise InputError(f"mesh: the {len(triangles)} triangles have no area, expected a surface")
     cumulative = np.cumsum(area)
-    # Searching right of equal sums passes over triangles without area.
+    # Equal sums belong to triangles without area: the search on their right passes over them.
     drawn = np.searchsorted(cumulative, rng.random(count) * cumulative[-1], side="right")
     drawn = np.minimum(drawn, np.flatnonzero(area)[-1])
     along, across = np.sqrt(rng.random((count, 1))), rng.random((count, 1))

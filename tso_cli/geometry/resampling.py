@@ -1,6 +1,6 @@
 """Exact area resampling of a box of an image, and how much of each new pixel the image covers.
 
-Pixel coordinates as in `camera`: centres at integers, the whole image spans -0.5 to width - 0.5.
+Pixel coordinates are as in `camera`: the whole image spans -0.5 to width - 0.5.
 """
 
 from __future__ import annotations
@@ -9,22 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-
-Array = NDArray[np.float64]
-Box = tuple[float, float, float, float]
+from .arrays import Array, Box
 
 
 def _overlaps(start: float, stop: float, cells: int, pixels: range, least: float = 0.0) -> Array:
-    """Part [cells, pixels] of each of the equal cells of [start, stop] that lies in each of the ``pixels``.
+    """The part of each cell that lies in each of the ``pixels``: [cells, pixels].
 
-    Cells narrower than ``least`` are widened to it about their centres: with 1 that is linear interpolation.
+    The cells divide [start, stop] into ``cells`` equal parts. Cells that are narrower than
+    ``least`` are widened to it about their centres; ``least`` = 1 gives linear interpolation.
     """
     edges = np.linspace(start, stop, cells + 1)
-    wider = max(0.0, least - (stop - start) / cells) / 2.0
+    widening = max(0.0, least - (stop - start) / cells) / 2.0
     centres = pixels.start + np.arange(len(pixels), dtype=np.float64)
-    low = np.maximum(edges[:-1, None] - wider, centres - 0.5)
-    high = np.minimum(edges[1:, None] + wider, centres + 0.5)
-    return np.maximum(high - low, 0.0) / ((stop - start) / cells + 2.0 * wider)
+    low = np.maximum(edges[:-1, None] - widening, centres - 0.5)
+    high = np.minimum(edges[1:, None] + widening, centres + 0.5)
+    return np.maximum(high - low, 0.0) / ((stop - start) / cells + 2.0 * widening)
 
 
 def _touched(start: float, stop: float, pixels: int) -> range:
@@ -41,27 +40,35 @@ def area_resize(
     weights: NDArray[np.generic] | None = None,
     interpolate: bool = False,
 ) -> tuple[Array, Array]:
-    """Resample the region ``box`` of ``array`` to ``width`` x ``height`` pixels by exact area averaging.
+    """Resample the region ``box`` of ``array`` to ``width`` x ``height`` pixels by area averaging.
 
-    Every new pixel is a cell of the box: the mean of the old pixels, weighted by their areas in the cell. The overlaps factor
-    into rows and columns, so that this is two matrix products, ``Ry @ array @ Rx^T``.
+    Every new pixel is a cell of the box. Its value is the mean of the old pixels, weighted by
+    their areas in the cell. The overlaps factor into rows and columns, so that the result is two
+    matrix products, ``Ry @ array @ Rx^T``.
 
     Parameters
     ----------
     array : [H, W] or [H, W, C].
     box : left, top, right, bottom edges in pixel coordinates; it may reach outside the array.
     weights : [H, W] in [0, 1], how much each old pixel counts; all 1 if None.
-    interpolate : average over at least one old pixel: cells smaller than that are interpolated linearly between pixels.
+    interpolate : average over at least one old pixel; in cells smaller than a pixel this is linear
+        interpolation between pixels.
 
-    Returns the mean over the covered part of each cell, 0 where none is, and the part of its area that the array (times
-    weights) covers, [height, width] in [0, 1]. Raises InputError if the box is empty or not finite.
+    Returns
+    -------
+    values : [height, width] or [height, width, C], mean over the covered part of each cell; 0 in
+        cells that are not covered at all.
+    coverage : [height, width] in [0, 1], the part of each cell that the array, times the weights,
+        covers.
+
+    Raises InputError if the box is empty or not finite.
     """
     array = np.asarray(array)
     left, top, right, bottom = (float(edge) for edge in box)
     if not (np.isfinite([left, top, right, bottom]).all() and right > left and bottom > top):
         raise InputError(f"box is {tuple(box)}, expected finite left < right and top < bottom")
 
-    # Only the touched part is converted to float64: a photo may have a hundred million pixels.
+    # A photo may have a hundred million pixels: only the touched part is converted to float64.
     rows, columns = _touched(top, bottom, array.shape[0]), _touched(left, right, array.shape[1])
     region = slice(rows.start, rows.stop), slice(columns.start, columns.stop)
     part = array[region].astype(np.float64)
@@ -70,17 +77,15 @@ def area_resize(
         part *= weight if part.ndim == 2 else weight[:, :, None]
 
     def overlaps(least: float) -> tuple[Array, Array, Array]:
-        """Of rows [height, H] and columns [width, W], and the weights in each cell [height, width]."""
-        by_row, by_column = (
-            _overlaps(top, bottom, height, rows, least),
-            _overlaps(left, right, width, columns, least),
-        )
+        """Of the rows [height, H] and columns [width, W], and the weight of each cell."""
+        by_row = _overlaps(top, bottom, height, rows, least)
+        by_column = _overlaps(left, right, width, columns, least)
         if weight is None:
             return by_row, by_column, np.outer(by_row.sum(1), by_column.sum(1))
         return by_row, by_column, by_row @ weight @ by_column.T
 
     by_row, by_column, total_weight = overlaps(1.0 if interpolate else 0.0)
-    # The coverage is that of the cell itself, however wide the mean.
+    # The coverage counts the cell itself, even if the mean is over a wider one.
     coverage = overlaps(0.0)[2] if interpolate else total_weight
     flat = by_row @ part.reshape(part.shape[0], -1)
     if part.ndim == 2:

@@ -1,17 +1,20 @@
-"""Rotations as matrices [..., 3, 3]: from rotation vectors, spread evenly, and the angle between two."""
+"""Rotations as matrices [..., 3, 3].
+
+Made from rotation vectors or spread evenly; and the angle between two rotations.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from .camera import Array
+from .arrays import Array
 
 
 def from_vectors(vectors: Array) -> Array:
-    """Rotations about ``vectors`` [..., 3] by their lengths, radians (Rodrigues)."""
+    """Rotations about ``vectors`` [..., 3], whose lengths are the angles in radians (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
     cross = cross_product_matrix(vectors)
-    # sinc keeps small angles exact: numpy's is sin(pi x) / (pi x).
+    # sinc is exact for small angles; numpy's sinc is sin(pi x) / (pi x).
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.square(np.sinc(angle / (2.0 * np.pi)))
     rotation: Array = np.eye(3) + first * cross + second * (cross @ cross)
@@ -19,7 +22,7 @@ def from_vectors(vectors: Array) -> Array:
 
 
 def cross_product_matrix(vectors: Array) -> Array:
-    """[..., 3, 3], which times w is ``vectors`` x w."""
+    """The matrices [..., 3, 3] whose product with a vector w is ``vectors`` x w."""
     x, y, z = np.moveaxis(vectors, -1, 0)
     zero = np.zeros_like(x)
     return np.stack(
@@ -28,9 +31,10 @@ def cross_product_matrix(vectors: Array) -> Array:
 
 
 def spread(directions: int, turns: int) -> Array:
-    """[directions * turns, 3, 3] camera rotations: viewing directions evenly on the sphere, each with in-plane turns.
+    """Camera rotations [directions * turns, 3, 3], spread evenly over all rotations.
 
-    The directions are a Fibonacci lattice; turns are evenly spaced.
+    The viewing directions are a Fibonacci lattice on the sphere. Each of them comes with ``turns``
+    evenly spaced rotations about the viewing direction.
     """
     number = np.arange(directions) + 0.5
     height = 1.0 - 2.0 * number / directions
@@ -47,7 +51,7 @@ def spread(directions: int, turns: int) -> Array:
 
 
 def angle_between(a: Array, b: Array) -> Array:
-    """Angle [...] in degrees of the rotation that leads from ``a`` to ``b`` [..., 3, 3], 0 to 180."""
+    """Angle [...] of the rotation from ``a`` to ``b`` [..., 3, 3], 0 to 180 degrees."""
     trace = np.einsum("...ij,...ij->...", a, b)
     degrees: Array = np.degrees(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))
     return degrees

@@ -1,4 +1,4 @@
-"""A view: what one picture says of an object."""
+"""A view: a mask of the object, its camera, and what else one picture says of the object."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from .arrays import Array, Bits, Box, Floats, Indices
 from .camera import Camera
 
-# A speck has at most this part of the foreground, and lies at least so far beside the object, in units of the object's size.
-SPECK, BESIDE = 0.01, 0.25
-
-# A mask looks like a photo if it has so many grey pixels with grey neighbours for each pixel of the object or of the
-# background, whichever is smaller. Counted in about so many rows or columns, and not where that is smaller than so many pixels.
-GREY_SHARE, GREY_ALONG, GREY_FEWEST = 1.05, 256, 400
+# A speck is a connected part of the foreground that does not belong to the object, such as a false
+# detection of the program that made the mask.
+SPECK_SHARE = 0.01  # the largest share of the foreground that is taken for specks
+SPECK_DISTANCE = 0.25  # least distance of a speck from the object, in units of the object's size
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,19 +23,23 @@ class View:
     """A mask and the camera that saw it.
 
     mask : [H, W] in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
-    known : [H, W], False where the mask says nothing, or None when every pixel counts.
-    name : what messages call it, usually the file.
-    depth : [H, W] of the surface along the camera's z axis, in the units of its t; 0 and what is not finite are unknown. It
-        counts for foreground pixels alone.
-    image : [H, W, 3] red, green, blue in [0, 1], the photo that the mask is of, for clouds with colours.
+    known : [H, W], False where the mask says nothing; None if every pixel counts.
+    name : what messages call the view, usually the file of the mask.
+    depth : [H, W] of the surface along the camera's z axis, in the units of the camera's t. 0 and
+        values that are not finite are unknown. Only the depth of foreground pixels counts.
+    image : [H, W, 3] red, green, blue in [0, 1], the photo that was masked; for clouds with
+        colours.
+
+    Raises InputError if a size, a value or the camera does not fit, or if the mask is all
+    foreground or all background.
     """
 
-    mask: NDArray[np.float32]
+    mask: Floats
     camera: Camera
-    known: NDArray[np.bool_] | None = None
+    known: Bits | None = None
     name: str = "mask"
-    depth: NDArray[np.float64] | None = None
-    image: NDArray[np.float32] | None = None
+    depth: Array | None = None
+    image: Floats | None = None
 
     def __post_init__(self) -> None:
         mask = np.asarray(self.mask, dtype=np.float32)
@@ -62,52 +65,57 @@ class View:
             known = np.asarray(self.known, dtype=bool)
             if known.shape != mask.shape:
                 raise InputError(
-                    f"{self.name}: the ignore map is {known.shape[1]}x{known.shape[0]}, the mask {width}x{height}"
+                    f"{self.name}: the ignore map is {known.shape[1]}x{known.shape[0]}, "
+                    f"the mask is {width}x{height}, expected the same"
                 )
             object.__setattr__(self, "known", known)
             counted = mask[known]
+        self._require_both_sides(counted)
+
+    def _require_both_sides(self, counted: Floats) -> None:
+        """InputError unless some of the ``counted`` pixels are foreground, and some are not."""
         inside = int((counted > 0.5).sum())
+        left = "" if counted.size == self.mask.size else " that the ignore map leaves"
         if inside == 0:
-            ignored = ", but for those that the ignore map leaves out" if (mask > 0.5).any() else ""
-            most = f"the largest value is {counted.max(initial=0.0):.3g} of 1"
+            left = left if (self.mask > 0.5).any() else ""
             raise InputError(
-                f"{self.name}: no pixel is foreground{ignored}: {most}, expected some over 0.5"
+                f"{self.name}: no pixel{left} is foreground: the largest value is "
+                f"{counted.max(initial=0.0):.3g} of 1, expected some over 0.5"
             )
         if inside == counted.size:
-            left, advice = (
-                ("", " (try --invert-mask?)")
-                if inside == mask.size
-                else (" that the ignore map leaves", "")
-            )
+            advice = "" if left else " (`invert_mask`?)"
             raise InputError(
                 f"{self.name}: every pixel{left} is foreground, expected some background{advice}"
             )
 
-    def _checked_depth(self, depth: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A copy of the depth map, NaN where nothing is known."""
+    def _checked_depth(self, depth: Array) -> Array:
+        """A copy of the depth map, NaN where the depth is unknown."""
         depth = np.array(depth, dtype=np.float64)
         self._require_shape("depth map", depth, list(self.mask.shape))
         if self.camera.model != "perspective":
             raise InputError(
-                f"{self.name}: its camera is {self.camera.model}, expected perspective for a depth map"
+                f"{self.name}: its camera is {self.camera.model}, "
+                "expected perspective for a depth map"
             )
         depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
         if np.nanmin(depth, initial=np.inf) < 0.0:
             raise InputError(
-                f"{self.name}: the smallest depth is {np.nanmin(depth):g}, expected 0 (unknown) or more"
+                f"{self.name}: the smallest depth is {np.nanmin(depth):g}, "
+                "expected 0 (unknown) or more"
             )
         known = np.isfinite(depth) & (self.mask > 0.5)
         if not (known if self.known is None else known & self.known).any():
             raise InputError(f"{self.name}: no foreground pixel has a depth, expected some > 0")
         return depth
 
-    def _checked_image(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _checked_image(self, image: Floats) -> Floats:
         image = np.asarray(image, dtype=np.float32)
         self._require_shape("image", image, [*self.mask.shape, 3])
-        # NaN is not between 0 and 1 either.
-        if not (image.min() >= 0.0 and image.max() <= 1.0):
+        low, high = image.min(), image.max()
+        # This form of the condition refuses NaN too.
+        if not (low >= 0.0 and high <= 1.0):
             raise InputError(
-                f"{self.name}: the image's values span {image.min():g} to {image.max():g}, expected 0 to 1"
+                f"{self.name}: the image's values span {low:g} to {high:g}, expected 0 to 1"
             )
         return image
 
@@ -115,13 +123,14 @@ class View:
         if list(array.shape) != shape:
             size = f"{self.camera.width}x{self.camera.height}"
             raise InputError(
-                f"{self.name}: the {what} has shape {list(array.shape)}, the mask is {size}, expected {shape}"
+                f"{self.name}: the {what} has shape {list(array.shape)}, the mask is {size}, "
+                f"expected {shape}"
             )
 
     @cached_property
-    def inside(self) -> NDArray[np.bool_]:
-        """[H, W], pixels known to be foreground."""
-        inside: NDArray[np.bool_] = self.mask > 0.5
+    def inside(self) -> Bits:
+        """[H, W], the pixels that are known to be foreground."""
+        inside: Bits = self.mask > 0.5
         return inside if self.known is None else inside & self.known
 
     @cached_property
@@ -130,27 +139,13 @@ class View:
 
     @property
     def truncated(self) -> bool:
-        """Whether the object touches the border of the image, and may extend beyond it."""
+        """Whether the object touches the border of the image, and so may extend beyond it."""
         left, top, right, bottom = self._object
         height, width = self.mask.shape
         return left == 0 or top == 0 or right == width or bottom == height
 
-    @property
-    def like_photo(self) -> bool:
-        """Whether the mask is grey over more than what it shows: a soft mask is grey along the outline alone."""
-        step = max(1, min(self.mask.shape) // GREY_ALONG)
-        some, inside = self.mask[::step, ::step], self.inside[::step, ::step]
-        known = np.ones(some.shape, bool) if self.known is None else self.known[::step, ::step]
-        smaller = min(np.count_nonzero(inside), np.count_nonzero(known & ~inside))
-        grey = (some > 0.1) & (some < 0.9) & known
-        # Thin parts, of which every pixel is at the outline, have light or dark neighbours.
-        grey = (
-            grey[1:-1, 1:-1] & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
-        )
-        return bool(smaller >= GREY_FEWEST and np.count_nonzero(grey) > GREY_SHARE * smaller)
-
-    def box(self) -> tuple[float, float, float, float]:
-        """Left, top, right, bottom edges of the object in pixel coordinates: of the foreground, but for specks far off."""
+    def box(self) -> Box:
+        """The edges of the object in pixel coordinates; specks do not belong to the object."""
         left, top, right, bottom = self._object
         return left - 0.5, top - 0.5, right - 0.5, bottom - 0.5
 
@@ -161,40 +156,48 @@ class View:
         return int(self.inside.sum()) - int(self.inside[top:bottom, left:right].sum())
 
 
-def object_box(inside: NDArray[np.bool_]) -> tuple[int, int, int, int]:
-    """First column and row of the object in ``inside`` [H, W], and those behind its last, without specks far off.
+def object_box(inside: Bits) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom of the object in ``inside`` [H, W], right and bottom exclusive.
 
-    A speck is a connected part of at most 1 % of the foreground, more than a quarter of the object's size beside it. Specks
-    are left out if together they are at most 1 % too.
+    The object is the foreground without specks. A speck is a connected part of the foreground that
+    has at most SPECK_SHARE of its pixels and lies more than SPECK_DISTANCE of the object's size
+    away from the object. If all specks together have more than SPECK_SHARE of the foreground, they
+    belong to the object.
     """
     counts = inside.sum(0), inside.sum(1)
-    limit = SPECK * int(counts[0].sum())
-    low, high = np.array([np.flatnonzero(count)[[0, -1]] for count in counts]).T + np.array(
-        [[0], [1]]
-    )
-    # A box that leaves out at most the limit at each of its sides: often it shows that no speck is far off.
+    limit = SPECK_SHARE * int(counts[0].sum())
+    low, high = np.array([np.flatnonzero(count)[[0, -1]] for count in counts]).T + [[0], [1]]
+    # The box that leaves out at most ``limit`` pixels on each side. In most masks it is close to
+    # the box of the whole foreground: then there is no speck, and no need to find connected parts.
     bulk_low = np.array([np.searchsorted(np.cumsum(count), limit, "right") for count in counts])
     bulk_high = np.array(
         [len(count) - np.searchsorted(np.cumsum(count[::-1]), limit, "right") for count in counts]
     )
-    beside = BESIDE * (bulk_high - bulk_low).max()
-    if (low < bulk_low - beside).any() or (high > bulk_high + beside).any():
-        from scipy.ndimage import find_objects, label
-
-        parts, _ = label(inside, np.ones((3, 3)))
-        sizes = np.bincount(parts.ravel())[1:]
-        boxes = np.array(
-            [
-                [across.start, down.start, across.stop, down.stop]
-                for down, across in find_objects(parts)
-            ]
-        )
-        large = sizes > limit
-        if large.any():
-            first, last = boxes[large, :2].min(0), boxes[large, 2:].max(0)
-            beside = BESIDE * (last - first).max()
-            far = ~large & ((boxes[:, :2] < first - beside) | (boxes[:, 2:] > last + beside)).any(1)
-            if sizes[far].sum() <= limit:
-                low, high = boxes[~far, :2].min(0), boxes[~far, 2:].max(0)
+    away = SPECK_DISTANCE * (bulk_high - bulk_low).max()
+    if (low < bulk_low - away).any() or (high > bulk_high + away).any():
+        low, high = _box_without_specks(inside, limit) or (low, high)
     (left, top), (right, bottom) = low.tolist(), high.tolist()
     return left, top, right, bottom
+
+
+def _box_without_specks(inside: Bits, limit: float) -> tuple[Indices, Indices] | None:
+    """First column and row of the object, and those behind its last; None if there are no specks.
+
+    ``limit`` is the most pixels that all specks may have together.
+    """
+    from scipy.ndimage import find_objects, label
+
+    parts, _ = label(inside, np.ones((3, 3)))
+    sizes = np.bincount(parts.ravel())[1:]
+    slices = find_objects(parts)
+    low = np.array([[columns.start, rows.start] for rows, columns in slices])
+    high = np.array([[columns.stop, rows.stop] for rows, columns in slices])
+    large = sizes > limit
+    if not large.any():
+        return None
+    first, last = low[large].min(0), high[large].max(0)
+    away = SPECK_DISTANCE * (last - first).max()
+    speck = ~large & ((low < first - away) | (high > last + away)).any(1)
+    if sizes[speck].sum() > limit:
+        return None
+    return low[~speck].min(0), high[~speck].max(0)

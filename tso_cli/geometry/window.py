@@ -1,36 +1,34 @@
-"""The window: the square region of a picture around the object, however large the photo is."""
+"""The window: the square region around the object in a picture, whatever the picture's size."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from .camera import NEAR
-from .points import longest_side, quantile
-from .resampling import Array, Box
+from .arrays import Array, Box
+from .points import quantile
 from .view import View
 
-# Background on every side of the object, in units of the longer side of its box. Chosen on training and validation shapes:
-# with half as much some clouds get worse, with more all improve less.
+# Background on every side of the object, in units of the longer side of its box. Chosen on training
+# and validation shapes: with half as much some clouds get worse, with more all improve less.
 MARGIN = 1.0 / 8.0
-# Part of the points at either end of an axis that does not widen the window: outliers would cost the object resolution.
-STRAYS = 0.005
+# The share of the points at either end of an axis that does not widen the window: if a few outliers
+# widened it, the object would fill fewer of its pixels.
+TAIL = 0.005
 
 
 def window_of(view: View, points: Array | None = None) -> Box:
-    """The square (left, top, right, bottom) that holds the mask's foreground and the projected points [N, 3], with a margin.
+    """The square that holds the mask's foreground and the projected points [N, 3], with a margin.
 
-    It depends on the object alone, whatever the size of the photo; a few outliers may lie outside. Close to a border of the
-    image it ends there along that axis; the other axis may reach beyond the image.
+    The window depends on the object alone, whatever the size of the photo. A few outliers may lie
+    outside it. If a border of the image is closer than the margin, the window ends there along
+    that axis; along the other axis it may reach beyond the image.
     """
     low, high = np.array(view.box()).reshape(2, 2)
     border = np.array([view.camera.width, view.camera.height]) - 0.5
     if points is not None:
-        pixels, depth = view.camera.project(points)
-        front = np.isfinite(pixels).all(1)
-        if view.camera.model == "perspective":
-            front &= depth > NEAR * longest_side(points)
-        if front.any():
-            first, last = (quantile(pixels[front], share) for share in (STRAYS, 1.0 - STRAYS))
+        pixels, _, visible = view.camera.project_visible(points)
+        if visible.any():
+            first, last = (quantile(pixels[visible], share) for share in (TAIL, 1.0 - TAIL))
             low, high = np.minimum(low, first), np.maximum(high, last)
     low, high = np.maximum(low, -0.5), np.minimum(high, border)
     margin = MARGIN * float((high - low).max())

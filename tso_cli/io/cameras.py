@@ -1,9 +1,9 @@
 """Camera files (JSON).
 
-One camera is ``{"width": W, "height": H, "K": 3x3, "R": 3x3, "t": [3]}``, several views are ``{"views": [...]}``, each
-with these keys. Optional: ``"model"`` ("perspective" or "orthographic"), ``"mask"`` and ``"image"``, paths relative to the
-file.
-The frame conventions are those of `tso_cli.geometry.camera`.
+One camera is ``{"width": W, "height": H, "K": 3x3, "R": 3x3, "t": [3]}``. Several views are
+``{"views": [...]}``, a list of objects with these keys. Optional keys are ``"model"``
+("perspective" or "orthographic"), ``"mask"`` and ``"image"``, whose paths are relative to the file.
+For the conventions see `tso_cli.geometry.camera`.
 """
 
 from __future__ import annotations
@@ -28,19 +28,22 @@ from .reading import read_json, shown
 _FILE_LIMIT = 64 << 20
 _REQUIRED = ("width", "height", "K", "R", "t")
 _OPTIONAL = ("model", "mask", "image")
-_LARGEST = 1e15  # beyond it products of the entries say nothing any more
-# Keys, in small letters, that other programs give to a camera: ignoring one would silently use another camera.
+_LARGEST = 1e15  # products of larger entries have no correct digits left
+# Keys, in small letters, that other programs use for a camera. To ignore one of them would silently
+# use another camera.
 _MEANT = {key.casefold(): key for key in (*_REQUIRED, *_OPTIONAL, "views")} | {
-    "intrinsics": "K", "intrinsic": "K", "intrinsic_matrix": "K", "camera_matrix": "K", "rotation": "R",
-    "rotation_matrix": "R", "translation": "t", "tvec": "t", "w": "width", "h": "height", "camera_model": "model",
-    "projection": "model", "masks": "mask", "mask_path": "mask", "images": "image",
-    "image_path": "image", "file_path": "image", "view": "views", "cameras": "views", "frames": "views",
+    "w": "width", "h": "height", "camera_model": "model", "projection": "model",
+    "intrinsics": "K", "intrinsic": "K", "intrinsic_matrix": "K", "camera_matrix": "K",
+    "rotation": "R", "rotation_matrix": "R", "translation": "t", "tvec": "t",
+    "masks": "mask", "mask_path": "mask",
+    "images": "image", "image_path": "image", "file_path": "image",
+    "view": "views", "cameras": "views", "frames": "views",
 }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class CameraRecord:
-    """A camera and the files it belongs to, where the camera file names them."""
+    """A camera and the files that it belongs to, if the camera file names them."""
 
     camera: Camera
     mask: Path | None = None
@@ -48,7 +51,11 @@ class CameraRecord:
 
 
 def find_camera(mask_path: Path) -> Path | None:
-    """The camera file beside a mask: ``MASKSTEM.camera.json``, else ``camera.json``, else ``cameras.json`` of `tso render`."""
+    """The camera file in the folder of a mask, or None.
+
+    That is the first of ``MASKSTEM.camera.json``, ``camera.json`` and ``cameras.json`` (as
+    `tso render` names it) that exists.
+    """
     for name in (f"{mask_path.stem}.camera.json", "camera.json", "cameras.json"):
         path = mask_path.with_name(name)
         if path.is_file():
@@ -57,7 +64,10 @@ def find_camera(mask_path: Path) -> Path | None:
 
 
 def read_cameras(path: str | Path) -> list[CameraRecord]:
-    """Read all views of a camera file, at least one; InputError names file and key."""
+    """Read all views of a camera file, at least one.
+
+    Raises InputError, which names the file and the key, if the file is wrong.
+    """
     path = Path(path)
     document = read_json(
         path,
@@ -68,21 +78,24 @@ def read_cameras(path: str | Path) -> list[CameraRecord]:
     )
     if not isinstance(document, dict):
         raise InputError(
-            f"{path}: holds {_kind(document)}, expected an object with width, height, K, R, t or views"
+            f"{path}: holds {_kind(document)}, "
+            "expected an object with width, height, K, R, t or views"
         )
     views, ignored = {"": document}, set()
     if "views" in document:
-        if not isinstance(document["views"], list) or not document["views"]:
+        cameras = document["views"]
+        if not isinstance(cameras, list) or not cameras:
             raise InputError(
-                f"{path}: views is {_kind(document['views'])}, expected a list of at least one camera"
+                f"{path}: views is {_kind(cameras)}, expected a list of at least one camera"
             )
         ignored |= _unknown_keys(path, "", document, ("views",))
-        views = {f"views[{i}].": view for i, view in enumerate(document["views"])}
+        views = {f"views[{i}].": view for i, view in enumerate(cameras)}
     records = []
     for where, view in views.items():
         if not isinstance(view, dict):
             raise InputError(
-                f"{path}: {where[:-1]} is {_kind(view)}, expected an object with width, height, K, R, t"
+                f"{path}: {where[:-1]} is {_kind(view)}, "
+                "expected an object with width, height, K, R, t"
             )
         ignored |= _unknown_keys(path, where, view, _REQUIRED + _OPTIONAL)
         records.append(_record(path, where, view))
@@ -96,25 +109,22 @@ def read_cameras(path: str | Path) -> list[CameraRecord]:
 def read_camera(
     path: str | Path, width: int, height: int, mask: str | Path | None = None
 ) -> Camera:
-    """Read the camera of a mask of ``width`` x ``height`` pixels; of several views the one that names the file ``mask``.
+    """Read the camera of the file ``mask``, which has ``width`` x ``height`` pixels.
 
-    Raises InputError as `read_cameras`, or if the size differs, or not just one of several views names ``mask``.
+    If the camera file has several views, exactly one of them must name the file ``mask``. Raises
+    InputError if that is not so, if the size differs, or as `read_cameras`.
     """
     path = Path(path)
     records = read_cameras(path)
     if len(records) > 1:
-        naming = [
-            r
-            for r in records
-            if r.mask is not None and mask is not None and same_file(r.mask, mask)
-        ]
+        naming = [record for record in records if mask is not None and _names(record, mask)]
         if len(naming) != 1:
             named = f"the mask {mask}" if mask is not None else "a mask"
             raise InputError(
                 f"{path}: {len(naming)} of its {len(records)} views name {named}, expected one"
             )
         records = naming
-    elif mask is not None and records[0].mask is not None and not same_file(records[0].mask, mask):
+    elif mask is not None and records[0].mask is not None and not _names(records[0], mask):
         warnings.warn(
             f"{path}: its one view names the mask {records[0].mask}, used for {mask}", stacklevel=2
         )
@@ -122,24 +132,28 @@ def read_camera(
     return records[0].camera
 
 
-def same_file(a: str | Path, b: str | Path) -> bool:
-    """Whether two paths lead to one file."""
-    return os.path.realpath(a) == os.path.realpath(b)
+def _names(record: CameraRecord, mask: str | Path) -> bool:
+    """Whether a view names the file ``mask``, perhaps by another path."""
+    return record.mask is not None and os.path.realpath(record.mask) == os.path.realpath(mask)
 
 
 def check_size(
     path: str | Path, camera: Camera, width: int, height: int, mask: str | Path | None = None
 ) -> None:
-    """Raise InputError unless ``camera``, read from ``path``, is for images of ``width`` x ``height``."""
+    """Raise InputError unless ``camera``, read from ``path``, is for ``width`` x ``height``."""
     if (camera.width, camera.height) != (width, height):
         named = f"the mask {mask}" if mask is not None else "the mask"
         raise InputError(
-            f"{path}: width x height is {camera.width}x{camera.height}, {named} is {width}x{height}, expected the same"
+            f"{path}: width x height is {camera.width}x{camera.height}, "
+            f"{named} is {width}x{height}, expected the same"
         )
 
 
 def named_masks(path: Path) -> list[Path]:
-    """The masks that the views of a camera file name, in their order; InputError as `read_cameras`, or if one names none."""
+    """The masks that the views of a camera file name, in the order of the views.
+
+    Raises InputError as `read_cameras`, or if a view names no mask.
+    """
     masks = [record.mask for record in read_cameras(path)]
     if None in masks:
         where = f"views[{masks.index(None)}] of {len(masks)}"
@@ -150,30 +164,33 @@ def named_masks(path: Path) -> list[Path]:
 
 
 def pair_with_masks(path: Path, masks: Sequence[Path]) -> list[Camera]:
-    """The camera of each of several masks: of the view that names its path, or the last part of it, else by order.
+    """The camera of each of several masks.
 
-    Raises InputError as `read_cameras`, or if the views do not name all masks, and are not as many or contradict the order.
+    1. If every mask has its own view that names the path of the mask, these views are taken.
+    2. If every mask has its own view that names a file of the same name, these views are taken.
+    3. Otherwise the first view belongs to the first mask, and so on.
+
+    Raises InputError as `read_cameras`. Also raises InputError in the third case if views and masks
+    differ in number, or if a view names a mask at another place.
     """
     records = read_cameras(path)
-    naming: list[list[int]] = []  # views, of each mask
-    for alike in (same_file, lambda a, b: a.name == b.name):
-        naming = [
-            [i for i, r in enumerate(records) if r.mask is not None and alike(r.mask, mask)]
-            for mask in masks
-        ]
-        if all(len(views) == 1 for views in naming) and len({views[0] for views in naming}) == len(
-            masks
-        ):
-            return [records[views[0]].camera for views in naming]
+    naming: list[list[int]] = []  # for each mask the views that name it
+    for named in (_names, _has_name):
+        naming = [[i for i, record in enumerate(records) if named(record, mask)] for mask in masks]
+        if all(len(views) == 1 for views in naming):
+            chosen = [views[0] for views in naming]
+            if len(set(chosen)) == len(masks):
+                return [records[i].camera for i in chosen]
     if len(records) != len(masks):
         raise InputError(
-            f"{path}: holds {len(records)} view{'s' * (len(records) > 1)}, found {len(masks)} masks; expected as many, "
-            "or views that name every mask"
+            f"{path}: holds {len(records)} view{'s' if len(records) > 1 else ''}, "
+            f"found {len(masks)} masks; expected as many, or views that name every mask"
         )
     for i, (record, mask, views) in enumerate(zip(records, masks, naming, strict=True)):
         if views and i not in views:
             raise InputError(
-                f"{path}: the mask {mask} is named by views[{views[0]}] and given at place {i}, expected the same order"
+                f"{path}: the mask {mask} is named by views[{views[0]}] and given at place {i}, "
+                "expected the same order"
             )
         if not views and record.mask is not None:
             warnings.warn(
@@ -182,27 +199,30 @@ def pair_with_masks(path: Path, masks: Sequence[Path]) -> list[Camera]:
     return [record.camera for record in records]
 
 
+def _has_name(record: CameraRecord, mask: Path) -> bool:
+    """Whether a view names a file with the name of ``mask``, in whatever folder."""
+    return record.mask is not None and record.mask.name == mask.name
+
+
 def write_cameras(path: Path, records: Sequence[CameraRecord], overwrite: bool = False) -> None:
-    """Write a camera file that reads back exactly; one record without files in the flat form, others as views."""
+    """Write a camera file that reads back exactly.
+
+    A single record without files is written as one camera, anything else as views.
+    """
     write_file(path, camera_text(path, records).encode(), overwrite)
 
 
 def camera_text(path: Path, records: Sequence[CameraRecord]) -> str:
-    """What `write_cameras` writes; the files of ``records`` are named relative to ``path``."""
+    """The text that `write_cameras` writes; paths in it are relative to the file ``path``."""
     views = [_as_json(record, path) for record in records]
     if len(records) == 1 and records[0].mask is None and records[0].image is None:
-        text = _lines(views[0], "")
-    else:
-        text = (
-            '{\n  "views": [\n    '
-            + ",\n    ".join(_lines(view, "    ") for view in views)
-            + "\n  ]\n}"
-        )
-    return text + "\n"
+        return _lines(views[0], "") + "\n"
+    listed = ",\n    ".join(_lines(view, "    ") for view in views)
+    return f'{{\n  "views": [\n    {listed}\n  ]\n}}\n'
 
 
 def _lines(view: dict[str, Any], indent: str) -> str:
-    """One key a line, matrices on one line."""
+    """One key per line; a matrix stays on the line of its key."""
     entries = [f"{indent}  {json.dumps(key)}: {json.dumps(value)}" for key, value in view.items()]
     return "{\n" + ",\n".join(entries) + f"\n{indent}}}"
 
@@ -239,13 +259,13 @@ def _kind(value: Any) -> str:
 
 
 def _unknown_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[str]) -> set[str]:
-    """Keys to ignore; InputError for one that other programs give to a camera."""
+    """The keys to ignore; InputError for a key that other programs use for a camera."""
     unknown = [key for key in view if key not in known]
     for key in unknown:
         meant = _MEANT.get(key.casefold())
         if meant == key:
             raise InputError(
-                f"{path}: the key {where}{key} is out of place, expected views or a single camera"
+                f"{path}: the key {where}{key} is out of place, expected either views or one camera"
             )
         if meant is not None:
             raise InputError(
@@ -259,12 +279,11 @@ def _record(path: Path, where: str, view: dict[str, Any]) -> CameraRecord:
         if key not in view:
             raise InputError(f"{path}: {where}{key} is missing, expected width, height, K, R and t")
     width, height = view["width"], view["height"]
-    if (
-        _number(path, where + "width", width) * _number(path, where + "height", height)
-        > PIXEL_LIMIT
-    ):
+    pixels = _number(path, where + "width", width) * _number(path, where + "height", height)
+    if pixels > PIXEL_LIMIT:
         raise InputError(
-            f"{path}: {where}width x height is {width}x{height}, expected at most {PIXEL_LIMIT:,} pixels"
+            f"{path}: {where}width x height is {width}x{height}, "
+            f"expected at most {PIXEL_LIMIT:,} pixels"
         )
     K, R = (_numbers(path, where + key, view[key], "3x3") for key in ("K", "R"))
     t = _numbers(path, where + "t", view["t"], "[3]")
@@ -286,7 +305,7 @@ def _number(path: Path, where: str, value: Any) -> float:
 
 
 def _numbers(path: Path, where: str, value: Any, shape: str) -> list[Any]:
-    """A vector, "[3]", or a matrix, "3x3"."""
+    """The numbers of a vector (``shape`` "[3]") or of a matrix (``shape`` "3x3")."""
     if not isinstance(value, list) or len(value) != 3:
         raise InputError(f"{path}: {where} is {_kind(value)}, expected {shape} numbers")
     if shape == "3x3":

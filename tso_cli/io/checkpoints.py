@@ -1,7 +1,7 @@
-"""Networks on disk: safetensors with the configuration as JSON in the metadata. No pickle is read or written.
+"""Networks on disk: safetensors with the configuration as JSON in the metadata, never pickles.
 
-A checkpoint holds the network's tensors under their own names. The state of an unfinished training may lie beside them
-under names that start with ``training.``; a reader of networks ignores those.
+A checkpoint holds the network's tensors under their own names. It may also hold the state of an
+unfinished training, under names that start with ``training.``; a reader of networks ignores them.
 """
 
 from __future__ import annotations
@@ -24,10 +24,13 @@ if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
 
 FORMAT = "tso-network-1"
-# One key: with several, safetensors writes them in an order that differs from run to run.
+# There is a single key: safetensors writes several keys in an order that differs from run to run.
 METADATA_KEY = "tso"
 STATE_PREFIX = "training."
-MOST_POINTS = 1_000_000
+MOST_POINTS = 1_000_000  # of a network's output; a larger number can only be damage
+_PICKLES = (b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")  # first bytes
+# What safetensors and torch raise for damaged files, besides SafetensorError.
+_DAMAGE_ERRORS = (OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError)
 
 
 def save_network(
@@ -37,7 +40,10 @@ def save_network(
     overwrite: bool = False,
     dtype: torch.dtype | None = None,
 ) -> None:
-    """Write one safetensors file, weights as ``dtype`` (None: as they are); InputError where one is too large for it."""
+    """Write one safetensors file with the weights as ``dtype`` (None: the type that they have).
+
+    Raises InputError if a weight is too large for ``dtype``.
+    """
     tensors = network.state_dict()
     if dtype is not None:
         tensors = {name: tensor.to(dtype) for name, tensor in tensors.items()}
@@ -46,7 +52,8 @@ def save_network(
         )
         if too_large:
             raise InputError(
-                f"{path}: tensor {too_large} holds a number too large for {dtype}, nothing was written"
+                f"{path}: tensor {too_large} holds a number too large for {dtype}, "
+                "nothing was written"
             )
     save_tensors(path, tensors, config, {}, overwrite)
 
@@ -58,7 +65,7 @@ def save_tensors(
     state: dict[str, Any],
     overwrite: bool = False,
 ) -> None:
-    """Write network tensors, ``training.*`` tensors and the JSON-able training ``state`` to one file."""
+    """Write network tensors, ``training.*`` tensors and the training ``state`` (JSON) to a file."""
     from safetensors.torch import save
 
     about = {
@@ -67,7 +74,7 @@ def save_tensors(
         **({"training": state} if state else {}),
     }
     metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
-    # Not save_file: it would make the file readable for its owner alone.
+    # save_file would make the file readable only for its owner.
     data = save(
         {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata
     )
@@ -75,13 +82,16 @@ def save_tensors(
 
 
 def load_network(path: Path) -> tuple[BaseNetwork, NetworkConfig]:
-    """Read a network, as float32 on the CPU in evaluation mode; InputError unless its tensors fit its configuration."""
+    """Read a network: float32, on the CPU, in evaluation mode.
+
+    Raises InputError if its tensors do not fit its configuration.
+    """
     import torch
 
     from ..network.model import BaseNetwork, Decoder, Encoder
 
     config, _ = read_metadata(path)
-    with torch.device("meta"):  # no memory is taken before the file has been found to fit
+    with torch.device("meta"):  # takes no memory: the file is checked first
         network = BaseNetwork(Encoder(), Decoder(config.points))
     expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     tensors = _read_tensors(path, expected, lambda name: not name.startswith(STATE_PREFIX))
@@ -94,7 +104,10 @@ def load_network(path: Path) -> tuple[BaseNetwork, NetworkConfig]:
 
 
 def load_state(path: Path, expected: dict[str, tuple[int, ...]]) -> dict[str, Tensor]:
-    """Read the ``training.*`` tensors of ``path``, names without that prefix; refused unless they are as expected."""
+    """Read the ``training.*`` tensors of ``path``; the returned names lack this prefix.
+
+    Raises InputError if names or shapes differ from ``expected``.
+    """
     state = {STATE_PREFIX + name: shape for name, shape in expected.items()}
     tensors = _read_tensors(path, state, lambda name: name.startswith(STATE_PREFIX))
     return {name.removeprefix(STATE_PREFIX): tensor for name, tensor in tensors.items()}
@@ -112,7 +125,8 @@ def read_metadata(path: Path) -> tuple[NetworkConfig, dict[str, Any]]:
         raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None
     if METADATA_KEY not in metadata:
         raise InputError(
-            f"{path}: a safetensors file without {METADATA_KEY!r} in its metadata, expected one of tso train"
+            f"{path}: a safetensors file without {METADATA_KEY!r} in its metadata, "
+            "expected a file that tso train has written"
         )
     try:
         about = json.loads(metadata[METADATA_KEY])
@@ -123,7 +137,8 @@ def read_metadata(path: Path) -> tuple[NetworkConfig, dict[str, Any]]:
     version = about.get("format") if isinstance(about, dict) else about
     if version != FORMAT:
         raise InputError(
-            f"{path}: the format in the metadata is {shown(version)}, expected {FORMAT!r} (as tso train writes it)"
+            f"{path}: the format in the metadata is {shown(version)}, "
+            f"expected {FORMAT!r} (as tso train writes it)"
         )
     for key in ("config", "training"):
         if not isinstance(about.get(key, {}), dict):
@@ -140,21 +155,17 @@ def read_metadata(path: Path) -> tuple[NetworkConfig, dict[str, Any]]:
 def _refuse_other_files(path: Path) -> None:
     expected = "a checkpoint (.safetensors)"
     start = read_bytes(path, expected, most=16)
-    # The header's length comes first and may begin like a pickle; the brace behind it tells the two apart.
+    # A safetensors file starts with 8 bytes of length, which may look like a pickle, and a brace.
     if start[8:9] == b"{":
         return
-    if start[:4] == b"PK\x03\x04" or start[:2] in (
-        b"\x80\x02",
-        b"\x80\x03",
-        b"\x80\x04",
-        b"\x80\x05",
-    ):
+    if start.startswith(_PICKLES):
         raise InputError(
             f"{path}: is a pickled PyTorch file; loading it could run code; expected safetensors"
         )
     size = path.stat().st_size
     raise InputError(
-        f"{path}: is no safetensors file ({size:,} bytes, starts with {start[:8]!r}), expected {expected}"
+        f"{path}: is not a safetensors file ({size:,} bytes, starts with {start[:8]!r}), "
+        f"expected {expected}"
     )
 
 
@@ -207,7 +218,7 @@ def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
 def _read_tensors(
     path: Path, expected: dict[str, tuple[int, ...]], belongs: Callable[[str], bool]
 ) -> dict[str, Tensor]:
-    """The tensors of ``path`` whose names belong, after a check of names, shapes, types and values."""
+    """The tensors of ``path`` whose names ``belong``, once names, shapes and values are checked."""
     import torch
     from safetensors import SafetensorError, safe_open
 
@@ -222,26 +233,20 @@ def _read_tensors(
                         f"{path}: tensor {name} is missing, expected shape {list(shape)}"
                     )
                 if tuple(shapes[name]) != shape:
-                    problem = f"has shape {list(shapes[name])}, expected {list(shape)} (a network of another size?)"
-                    raise InputError(f"{path}: tensor {name} {problem}")
-            unknown = sorted(set(shapes) - set(expected))
-            if unknown:
+                    raise InputError(
+                        f"{path}: tensor {name} has shape {list(shapes[name])}, "
+                        f"expected {list(shape)} (a network of another size?)"
+                    )
+            if unknown := sorted(set(shapes) - set(expected)):
                 raise InputError(
-                    f"{path}: unknown tensor {shown(unknown[0])} of shape {list(shapes[unknown[0]])}"
+                    f"{path}: has the unknown tensor {shown(unknown[0])} of shape "
+                    f"{list(shapes[unknown[0]])}, expected only tensors of the network"
                 )
             for name in expected:
-                # A copy: the tensor is a view of the file, which may change while it is in use, and is not aligned as torch's
-                # own are, which would change the last bits of results.
+                # The tensor is a view of the file, which may change while it is in use. It is also
+                # not aligned as torch aligns tensors, which would change the last bits of results.
                 tensors[name] = file.get_tensor(name).clone()
-    except (
-        SafetensorError,
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        RuntimeError,
-        AttributeError,
-    ) as error:
+    except (SafetensorError, *_DAMAGE_ERRORS) as error:
         raise InputError(f"{path}: {_damage(error)}, expected a whole safetensors file") from None
     for name, tensor in tensors.items():
         if not tensor.is_floating_point():
@@ -251,6 +256,7 @@ def _read_tensors(
         bad = int((~torch.isfinite(tensor.float())).sum())
         if bad:
             raise InputError(
-                f"{path}: tensor {name} holds {bad} numbers that are not finite (NaN or infinite)"
+                f"{path}: tensor {name} holds {bad} numbers that are not finite (NaN or infinite), "
+                "expected finite numbers"
             )
     return tensors

@@ -1,4 +1,4 @@
-"""Point clouds: PLY (text and binary), .npy and tables of numbers in; PLY out."""
+"""Point clouds: reads PLY (text and binary), .npy and tables of numbers; writes PLY."""
 
 from __future__ import annotations
 
@@ -8,67 +8,81 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError, TsoError
+from ..geometry.arrays import Array, Indices
 from ..geometry.points import longest_side
 from .output import atomic_output, check_output
 from .ply import PlyFile, new_ply
 from .reading import TextTable, read_array, read_bytes, require_memory
 
-Points = NDArray[np.float64]
 SUFFIXES = (".ply", ".npy", ".xyz", ".txt")
-_LARGEST = 1e100  # beyond it squares of coordinates overflow
-BYTES_A_POINT, BYTES_A_TEXT_LINE = 250, 800
-"""Most memory a point takes that follows others in a refinement; and a line of numbers while it is read."""
+# Squares of larger coordinates overflow.
+_LARGEST = 1e100
+# The most memory that a point takes in a refinement, if it only follows the control points.
+BYTES_PER_POINT = 250
+# The most memory that a line of numbers takes while it is read.
+BYTES_PER_TEXT_LINE = 800
+# Rounding to float32 is invisible up to this part of the cloud's longest side.
+_HARMLESS_ROUNDING = 1e-6
+# A user is warned if the file's float32 rounds the result by more than this part of that side.
+_VISIBLE_ROUNDING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
     """A cloud as read from a file."""
 
-    points: Points  # [N, 3], in the file's order and units
+    points: Array  # [N, 3], in the file's order and units
     path: Path
     precision: str = "float64"  # or "float32", the type to write coordinates with
-    ply: PlyFile | None = field(
-        default=None, repr=False
-    )  # to write it again with other coordinates
+    # Set if the cloud was read from PLY, to write the file again with other coordinates.
+    ply: PlyFile | None = field(default=None, repr=False)
 
-    def colours(self) -> Points:
-        """Red, green and blue [N, 3] of the points, in [0, 1]; InputError where the file has none or no such numbers."""
+    def colours(self) -> Array:
+        """Red, green and blue [N, 3] of the points, in [0, 1]; InputError if there are none."""
         colours = self.ply.read_colours() if self.ply else None
         if colours is None:
             raise InputError(
-                f"{self.path}: its points have no colours, expected red, green and blue of a PLY file"
+                f"{self.path}: its points have no colours, "
+                "expected a PLY file with red, green and blue"
             )
         return colours
 
-    def faces(self) -> NDArray[np.int64] | None:
-        """Triangles [F, 3] of the points; None where the file has no faces, InputError where they name other points."""
+    def faces(self) -> Indices | None:
+        """Triangles [F, 3] of the points; None if the file has no faces.
+
+        Raises InputError if a face names a point that does not exist.
+        """
         return self.ply.read_faces() if self.ply else None
 
 
 def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
-    """Read a point cloud; of a mesh in PLY, its vertices, which ``faces()`` of the result joins.
+    """Read a point cloud, or a mesh in PLY as its vertices; ``faces()`` of the result joins them.
 
-    The suffix decides: .ply; .npy with an array [N, 3]; .xyz and .txt with three numbers or more a line, of which the first
-    three count, and comment lines that start with #. Raises InputError if the file cannot be read, holds no point or one that
-    is not finite, or (``extended``) has no extent.
+    The suffix of the file decides how it is read:
+
+    - .ply : text or binary;
+    - .npy : an array [N, 3];
+    - .xyz, .txt : at least three numbers per line, x y z first; lines that start with # are
+      comments.
+
+    Raises InputError if the file cannot be read, holds no point, or holds a coordinate that is not
+    finite. With ``extended`` it also raises InputError if all points are equal.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
-        expected = f"expected {', '.join(SUFFIXES)}"
         raise InputError(
-            f"{path}: the suffix {suffix!a} is not that of a point cloud, or of a mesh in PLY, {expected}"
+            f"{path}: the suffix {suffix!a} is not that of a point cloud, or of a mesh in PLY, "
+            f"expected {', '.join(SUFFIXES)}"
         )
     data = read_bytes(path, "a point cloud")
     try:
         if suffix == ".ply":
-            ply = PlyFile(data, path, BYTES_A_POINT)
-            cloud = PointCloud(
-                ply.read(), path, "float32" if set(ply.kinds) == {"f4"} else "float64", ply
-            )
+            ply = PlyFile(data, path, BYTES_PER_POINT)
+            precision = "float32" if set(ply.kinds) == {"f4"} else "float64"
+            cloud = PointCloud(ply.read(), path, precision, ply)
         elif suffix == ".npy":
             cloud = _from_array(data, path)
         else:
@@ -81,19 +95,24 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
 
 def write_cloud(
     path: str | Path,
-    points: Points,
+    points: Array,
     like: PointCloud | None = None,
     overwrite: bool = False,
     dtype: Literal["float32", "float64"] | None = None,
 ) -> None:
     """Write ``points`` [N, 3] as a .ply file.
 
-    With a ``like`` from a PLY file, all of that file but the coordinates stays byte for byte; a warning says what is still of
-    the old points: normals, and the rotations and scales of Gaussian splats. Else coordinates have the type ``dtype``, by
-    default the precision of ``like``; without one float32 where that moves no point by over a millionth of the cloud's extent.
+    If ``like`` was read from a PLY file, the new file is that file with other coordinates; every
+    other byte stays. A warning names what is wrong after the move: normals, and the rotations and
+    scales of Gaussian splats.
 
-    Raises InputError if ``path`` is not a .ply or cannot be written, or ``points`` are not as many as those of ``like``;
-    TsoError if a coordinate is not finite or too large for its type. Nothing is written then.
+    Otherwise the type of the coordinates is ``dtype``, or the precision of ``like``. If neither is
+    given, it is float32 as long as rounding moves no point by over a millionth of the cloud's
+    longest side.
+
+    Raises InputError if ``path`` is not a .ply or cannot be written, or if ``points`` and ``like``
+    differ in number; TsoError if a coordinate is not finite or too large for its type. After an
+    error nothing is written.
     """
     path = Path(path)
     if path.suffix.lower() != ".ply":
@@ -116,20 +135,21 @@ def write_cloud(
         if "f4" in like.ply.kinds:
             if np.isinf(rounding):
                 raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path}")
-            if rounding > 1e-4 * extent:
+            if rounding > _VISIBLE_ROUNDING * extent:
                 warnings.warn(
-                    f"{path}: its coordinates are stored as float, as in {like.path}: rounding moves points by up to "
-                    f"{rounding:.2g}, the cloud's longest side is {extent:.3g}; store the input as double to keep the result",
+                    f"{path}: its coordinates are stored as float, as in {like.path}: rounding "
+                    f"moves points by up to {rounding:.2g}, the cloud's longest side is "
+                    f"{extent:.3g}; store the input as double to keep the result",
                     stacklevel=2,
                 )
         data = like.ply.with_points(points)
-        if (oriented := like.ply.oriented) and data is not like.ply.data:
+        if (stale := like.ply.stale_after_moving) and data is not like.ply.data:
             warnings.warn(
-                f"{path}: the {oriented} are those of {like.path}, before the points moved",
+                f"{path}: the {stale} are those of {like.path}, before the points moved",
                 stacklevel=2,
             )
     else:
-        precise = "float32" if rounding <= 1e-6 * extent else "float64"
+        precise = "float32" if rounding <= _HARMLESS_ROUNDING * extent else "float64"
         data = new_ply(points, dtype or (like.precision if like is not None else precise))
     with atomic_output(path, overwrite) as temporary:
         temporary.write_bytes(data)
@@ -141,21 +161,22 @@ def _from_array(data: bytes, path: Path) -> PointCloud:
         raise InputError(
             f"{path}: holds {array.dtype} {list(array.shape)}, expected numbers [N, 3]"
         )
-    require_memory(path, BYTES_A_POINT * len(array))
+    require_memory(path, BYTES_PER_POINT * len(array))
     precision = "float32" if array.dtype.kind == "f" and array.dtype.itemsize <= 4 else "float64"
     with np.errstate(all="ignore"):
         return PointCloud(np.ascontiguousarray(array, dtype=np.float64), path, precision)
 
 
 def _from_text(data: bytes, path: Path) -> PointCloud:
-    require_memory(path, BYTES_A_TEXT_LINE * data.count(b"\n"))
+    require_memory(path, BYTES_PER_TEXT_LINE * data.count(b"\n"))
     table = TextTable(data, path)
     table.drop_comments()
     short = table.counts < 3
     if short.any():
         row = int(short.argmax())
         raise InputError(
-            f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, expected at least 3, parted by blanks"
+            f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, "
+            "expected at least 3, separated by blanks"
         )
     points = table.values(table.first[:, None] + np.arange(3))
     if table.counts.max(initial=3) > 3:
@@ -165,16 +186,17 @@ def _from_text(data: bytes, path: Path) -> PointCloud:
     return PointCloud(points, path)
 
 
-def _check(points: Points, path: Path, extended: bool) -> None:
+def _check(points: Array, path: Path, extended: bool) -> None:
     count, least = len(points), 2 if extended else 1
     if count < least:
-        raise InputError(f"{path}: {count} point{'s' * (count != 1)}, expected at least {least}")
+        noun = "point" if count == 1 else "points"
+        raise InputError(f"{path}: {count} {noun}, expected at least {least}")
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         index = int(finite.argmin())
         raise InputError(
-            f"{path}: {count - int(finite.sum())} of {count} points have a coordinate that is not finite, "
-            f"the first is point {index} {points[index].tolist()}"
+            f"{path}: {count - int(finite.sum())} of {count} points have a coordinate that is not "
+            f"finite, the first is point {index} {points[index].tolist()}, expected numbers"
         )
     largest = np.abs(points).max()
     if largest > _LARGEST:

@@ -1,4 +1,7 @@
-"""Masks and pictures: files in, arrays out, upright whatever the camera noted about its orientation."""
+"""Masks, depth maps and pictures: files in, arrays out; writes PNG.
+
+A picture that the camera marked as rotated is turned upright.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Floats, Pixels
 from .output import atomic_output, check_output, reason
 from .reading import read_array, read_bytes, require_memory
 
@@ -22,34 +26,45 @@ if TYPE_CHECKING:
     from PIL import Image
 
 PIXEL_LIMIT = 100_000_000
-BYTES_A_PIXEL = 16  # what a mask takes at its most
-LARGEST_DEPTH = 1e15  # beyond it squares of depths overflow in sums
+BYTES_PER_PIXEL = 16  # the most memory that a pixel of a mask takes
+# In units of the camera. Sums of squares of larger depths lose precision or overflow.
+LARGEST_DEPTH = 1e15
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
-LEAST_TRANSPARENT = 1e-3  # share of an alpha channel that is a mask
+# An alpha channel is the mask if at least this share of it is transparent. Below that it is a few
+# pixels that an editor left transparent.
+LEAST_TRANSPARENT = 1e-3
 _FILE_LIMIT = 1 << 31
-_one_by_one = threading.Lock()
+# Standard error is redirected while a TIFF is decoded: one thread at a time.
+_stderr_lock = threading.Lock()
 Convert = Callable[["Image.Image", Path], NDArray[Any]]
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 
 
-def read_mask(path: str | Path, invert: bool = False) -> NDArray[np.float32]:
-    """Read a picture or .npy file as a mask [H, W] in [0, 1], inside 1, or with ``invert`` what is dark; soft values stay.
+def read_mask(path: str | Path, invert: bool = False) -> Floats:
+    """Read a picture or .npy file as a mask [H, W] in [0, 1]; inside is 1, soft values stay.
 
-    - An alpha channel of which at least 0.1 % is outside is the mask; else the brightness is (the largest channel of a colour).
-    - A palette whose used colours are all grey counts by its greys; of any other, index 0 is outside, the rest inside.
-    - Integers are divided by the largest value of their type, or are labels 0 and 1, with a warning, if the largest is 1.
+    The values of a picture are, in this order:
 
-    Raises InputError if the file is not a readable image, has over 100 megapixels, or values outside [0, 1].
+    1. its alpha channel, if at least 0.1 % of it is transparent;
+    2. for a palette whose used colours are not all grey, 0 at index 0 and 1 at all other indices;
+    3. its brightness (of a colour the largest channel).
+
+    Integers are divided by the largest value of their type. If the largest value in the file is 1,
+    they are labels 0 and 1 instead, with a warning. With ``invert`` dark is inside.
+
+    Raises InputError if the file is not a readable image, has over 100 megapixels, or has values
+    outside [0, 1].
     """
     path = Path(path)
     mask = _to_unit(_read_values(path, "a mask image", "a mask [H, W]", "bfiu", _mask_values), path)
     return np.float32(1.0) - mask if invert else mask
 
 
-def read_depth(path: Path, scale: float = 1.0) -> NDArray[np.float64]:
-    """Read a depth map [H, W] from a picture of one grey channel or a .npy file, ``scale`` units of the camera to a step.
+def read_depth(path: Path, scale: float = 1.0) -> Array:
+    """Read a depth map [H, W] from a picture of one grey channel or a .npy file.
 
-    0, NaN and infinity are unknown: NaN. Raises InputError if the file is not such a map, or a depth is negative.
+    The values of the file times ``scale`` are in units of the camera. 0, NaN and infinity mean
+    unknown and become NaN. Raises InputError if the file is not such a map, or a depth is negative.
     """
     with np.errstate(invalid="ignore"):  # signalling NaN
         depth = _read_values(
@@ -73,7 +88,7 @@ def read_depth(path: Path, scale: float = 1.0) -> NDArray[np.float64]:
 
 
 def _read_values(path: Path, what: str, form: str, kinds: str, convert: Convert) -> NDArray[Any]:
-    """[H, W] from a picture by ``convert``, or from a .npy file with one of numpy's ``kinds``."""
+    """[H, W] from a picture by ``convert``, or from a .npy file of one of numpy's ``kinds``."""
     data = read_bytes(path, what, _FILE_LIMIT)
     if path.suffix.lower() != ".npy":
         return _decode(data, path, what, convert)
@@ -84,21 +99,27 @@ def _read_values(path: Path, what: str, form: str, kinds: str, convert: Convert)
     return array
 
 
-def read_image(path: str | Path) -> NDArray[np.uint8]:
-    """Read a picture as [H, W, 3], or [H, W, 4] where it has an alpha channel; InputError as `read_mask`."""
+def read_image(path: str | Path) -> Pixels:
+    """Read a picture as [H, W, 3], or as [H, W, 4] if it has an alpha channel.
+
+    Raises InputError as `read_mask`.
+    """
     path = Path(path)
     return _decode(read_bytes(path, "an image", _FILE_LIMIT), path, "an image", _colours)
 
 
-def as_colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
-    """A picture opened by Pillow, as `read_image` gives it; InputError where it is too large, or what Pillow raises."""
+def as_colours(image: Image.Image, path: Path) -> Pixels:
+    """A picture that Pillow has opened, as `read_image` gives it.
+
+    Raises InputError if the picture is too large, and whatever Pillow raises.
+    """
     _check_size(image.width, image.height, path)
     _load(image)
     return _colours(image, path)
 
 
-def write_image(path: Path, array: NDArray[np.uint8], overwrite: bool = False) -> None:
-    """Write ``array``, [H, W], [H, W, 3] or [H, W, 4] of uint8 (or bool, [H, W]), as PNG."""
+def write_image(path: Path, array: Pixels, overwrite: bool = False) -> None:
+    """Write ``array`` as PNG: uint8 [H, W], [H, W, 3] or [H, W, 4], or bool [H, W]."""
     from PIL import Image
 
     check_output(path, overwrite)
@@ -109,35 +130,43 @@ def write_image(path: Path, array: NDArray[np.uint8], overwrite: bool = False) -
 def _check_size(width: int, height: int, path: Path) -> None:
     if width * height > PIXEL_LIMIT:
         raise InputError(
-            f"{path}: is {width}x{height}, {width * height:,} pixels, expected at most {PIXEL_LIMIT:,}"
+            f"{path}: is {width}x{height}, {width * height:,} pixels, "
+            f"expected at most {PIXEL_LIMIT:,}"
         )
-    require_memory(path, BYTES_A_PIXEL * width * height)
+    require_memory(path, BYTES_PER_PIXEL * width * height)
 
 
 def _load(image: Image.Image) -> None:
-    """Decode a picture that is open; OSError with what libtiff would print of a damaged one, and then go on."""
+    """Decode a picture that is open.
+
+    libtiff prints what is wrong with a damaged file to standard error and goes on. Here that
+    text becomes an OSError.
+    """
     if image.format != "TIFF":
         image.load()
         return
-    with _one_by_one:
-        ours, theirs = os.pipe()
-        os.set_blocking(theirs, False)  # what is too long is lost
+    with _stderr_lock:
+        reading_end, writing_end = os.pipe()
+        os.set_blocking(writing_end, False)  # text that does not fit into the pipe is lost
         stderr = os.dup(2)
-        os.dup2(theirs, 2)
+        os.dup2(writing_end, 2)
         try:
             image.load()
         finally:
             os.dup2(stderr, 2)
             os.close(stderr)
-            os.close(theirs)
-            said = os.read(ours, 200)
-            os.close(ours)
-            if said:
-                raise OSError(said.decode("ascii", "replace"))
+            os.close(writing_end)
+            printed = os.read(reading_end, 200)
+            os.close(reading_end)
+            if printed:
+                raise OSError(printed.decode("ascii", "replace"))
 
 
 def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any]:
-    """Open, turn upright and ``convert``; whatever Pillow raises or warns of becomes one line that names the file."""
+    """Open a picture, turn it upright and ``convert`` it.
+
+    Every error and warning of Pillow becomes one line that begins with the file.
+    """
     from PIL import Image, ImageOps
 
     try:
@@ -159,7 +188,7 @@ def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any
         raise InputError(
             f"{path}: {reason(error)}; expected at most {PIXEL_LIMIT:,} pixels"
         ) from None
-    # Decoders fail on damaged files in many ways (struct.error, SyntaxError, KeyError, ...): all mean the same here.
+    # Decoders fail on damaged files in many ways (struct.error, SyntaxError, KeyError, ...).
     except Exception as error:
         raise InputError(f"{path}: is not readable as {what} ({reason(error)})") from None
     for warning in caught:
@@ -170,16 +199,14 @@ def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any
 
 
 def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
-    """[H, W]: bool, uint8, uint16 or float."""
+    """The values of `read_mask` [H, W]: bool, uint8, uint16 or float."""
     from PIL import ImageChops
 
-    if image.mode in _WITH_ALPHA or (
-        "transparency" in image.info and image.mode in ("P", "L", "RGB")
-    ):
-        alpha = np.asarray(
-            (image if image.mode in ("RGBA", "LA") else image.convert("RGBA")).getchannel("A")
-        )
-        # A few pixels that an editor left transparent, or a picture that is translucent all over, are no mask.
+    transparency = "transparency" in image.info and image.mode in ("P", "L", "RGB")
+    if transparency or image.mode in _WITH_ALPHA:
+        with_channel = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
+        alpha = np.asarray(with_channel.getchannel("A"))
+        # Nor is a channel the mask that is slightly transparent everywhere.
         if np.count_nonzero(alpha < 128) >= LEAST_TRANSPARENT * alpha.size:
             return alpha
     if image.mode == "P":
@@ -201,7 +228,8 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
 def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
     if image.mode not in ("L", "I", "F") and not image.mode.startswith("I;16"):
         raise InputError(
-            f"{path}: is a picture of mode {image.mode}, expected a depth map of one grey channel, 16 bits"
+            f"{path}: is a picture of mode {image.mode}, "
+            "expected a depth map of one grey channel, 16 bits"
         )
     return np.asarray(image)
 
@@ -209,17 +237,17 @@ def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
 def _palette_values(image: Image.Image) -> NDArray[Any]:
     index = np.asarray(image)
     used = np.flatnonzero(image.histogram())
-    shown = image.resize((256, 1))
-    shown.putdata(range(256))
-    colours = np.asarray(shown.convert("RGB"))[0, used]
+    whole_palette = image.resize((256, 1))
+    whole_palette.putdata(range(256))
+    colours = np.asarray(whole_palette.convert("RGB"))[0, used]
     grey = (colours == colours[:, :1]).all()
-    # A palette that shows different indices alike says nothing: then the indices are the labels.
+    # A palette with one colour for different indices says nothing: then the indices are labels.
     if grey and (used.size == 1 or colours.min() != colours.max()):
         return np.asarray(image.convert("L"))
     return index != 0
 
 
-def _to_unit(array: NDArray[Any], path: Path) -> NDArray[np.float32]:
+def _to_unit(array: NDArray[Any], path: Path) -> Floats:
     if array.dtype.kind == "f":
         with np.errstate(invalid="ignore"):  # signalling NaN
             values = np.asarray(array, dtype=np.float64)
@@ -240,15 +268,15 @@ def _to_unit(array: NDArray[Any], path: Path) -> NDArray[np.float32]:
         return array.astype(np.float32)
     full = 255 if array.dtype.itemsize == 1 else 65535
     if array.dtype.itemsize > 2 and largest <= 255:
-        full = 255  # numpy makes wide integers by itself; they say nothing about the scale
+        full = 255  # numpy makes wide integers by default: their type says nothing about the scale
     if largest > full:
         raise InputError(f"{path}: its largest value is {largest}, expected at most {full}")
     return (np.arange(full + 1) / full).astype(np.float32)[array]
 
 
-def _colours(image: Image.Image, path: Path) -> NDArray[np.uint8]:
+def _colours(image: Image.Image, path: Path) -> Pixels:
     if image.mode.startswith("I;16") or image.mode in ("I", "F"):
-        # Pillow would cut these off at 255.
+        # Pillow would clip these values at 255.
         grey = np.rint(_to_unit(_mask_values(image, path), path) * 255.0).astype(np.uint8)
         return np.repeat(grey[..., None], 3, axis=2)
     alpha = image.mode in _WITH_ALPHA or "transparency" in image.info

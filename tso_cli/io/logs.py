@@ -1,4 +1,4 @@
-"""Reading the log that `tso train --log-file` writes: the settings, then the losses of a step a line."""
+"""Reads the log that `tso train --log-file` writes: a line of settings, then one line per step."""
 
 from __future__ import annotations
 
@@ -9,29 +9,32 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array
 from .reading import read_bytes, shown
 
-EXPECTED = "the log of a training (.jsonl, as tso train --log-file writes it)"
-# 20,000 steps take about 2 MB.
-LIMIT = 1 << 28
+EXPECTED = "the log of a training (.jsonl, as tso train writes it with `log_file`)"
+FILE_LIMIT = 1 << 28  # bytes; 20,000 steps take about 2 MB
+LOSS_TERMS_LIMIT = 7  # a training has fewer
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingLog:
-    """The settings of one training, as its checkpoint has them, and a value a step of "step", "loss" and the loss's terms."""
+    """The log of one training."""
 
     path: Path
-    settings: dict[str, Any]
-    columns: dict[str, NDArray[np.float64]]
+    settings: dict[str, Any]  # as in its checkpoint
+    columns: dict[str, Array]  # "step", "loss" and the terms of the loss, one value per step
 
 
 def read_log(path: Path) -> TrainingLog:
-    """Read one log; InputError where it cannot be read, a line is not of the form of the others, or there is no step."""
+    """Read one log.
+
+    Raises InputError if it cannot be read, its lines differ in form, or there is no step.
+    """
     try:
-        lines = read_bytes(path, EXPECTED, LIMIT).decode("utf-8").splitlines()
+        lines = read_bytes(path, EXPECTED, FILE_LIMIT).decode("utf-8").splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not text, expected {EXPECTED}") from None
     rows = []
@@ -53,7 +56,7 @@ def read_log(path: Path) -> TrainingLog:
     names = list(steps[0])
     if (
         names[:2] != ["step", "loss"]
-        or len(names) > 9
+        or len(names) > 2 + LOSS_TERMS_LIMIT
         or not all(name.isidentifier() and len(name) < 20 for name in names)
     ):
         raise InputError(f"{path}: line 2 has {shown(names)}, expected step, loss and so on")

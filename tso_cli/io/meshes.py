@@ -1,4 +1,4 @@
-"""Reading triangle meshes."""
+"""Triangle meshes: reads PLY, OBJ, OFF, STL and GLB; writes PLY."""
 
 from __future__ import annotations
 
@@ -10,17 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Indices, Pixels
 from .output import reason, write_file
 from .ply import new_ply
 from .reading import read_bytes
 from .textures import Pictures, Texture
 
-Array = NDArray[np.float64]
-GREY = (170, 170, 170)
-"""Colour of what has none."""
+GREY = (170, 170, 170)  # the colour of faces that have no colour
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
@@ -29,15 +27,16 @@ class Mesh:
     """Triangles of one object, in the file's own frame and units."""
 
     vertices: Array  # [V, 3]
-    faces: NDArray[np.int64]  # [F, 3], indices of vertices
-    colours: NDArray[np.uint8] | None = (
-        None  # [F, 3], one RGB colour a face (vertex colours averaged)
-    )
-    textures: tuple[Texture, ...] = ()  # used in place of the colours of their faces
+    faces: Indices  # [F, 3], indices of vertices
+    colours: Pixels | None = None  # [F, 3], one RGB colour per face, the mean of vertex colours
+    textures: tuple[Texture, ...] = ()  # a texture replaces the colours of its faces
 
 
 def find_meshes(folder: Path) -> list[Path]:
-    """All mesh files under ``folder``, sorted, without hidden ones; InputError if it is not a folder or holds no mesh."""
+    """All mesh files in ``folder`` and below, sorted; hidden files and folders are left out.
+
+    Raises InputError if ``folder`` is not a folder or holds no mesh.
+    """
     if not folder.is_dir():
         raise InputError(
             f"{folder}: not a folder, expected one with meshes ({', '.join(SUFFIXES)})"
@@ -45,12 +44,9 @@ def find_meshes(folder: Path) -> list[Path]:
     meshes = [
         path
         for path in sorted(folder.rglob("*"))
-        if path.suffix.lower() in SUFFIXES and path.is_file()
-    ]
-    meshes = [
-        path
-        for path in meshes
-        if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        if path.suffix.lower() in SUFFIXES
+        and path.is_file()
+        and not any(part.startswith(".") for part in path.relative_to(folder).parts)
     ]
     if not meshes:
         raise InputError(
@@ -60,12 +56,15 @@ def find_meshes(folder: Path) -> list[Path]:
 
 
 def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> Mesh:
-    """Read a triangle mesh; faces stay in order and vertices in place, polygons become triangles.
+    """Read a triangle mesh; polygons become triangles, the order of vertices and faces stays.
 
-    With ``textures`` also pictures on it: baseColorTexture (times baseColorFactor) of .glb, map_Kd of .obj, inside the file or
-    in the folder ``within`` (None: the file's own) or below. One that cannot be read gives a warning and the material's colour.
+    With ``textures`` the pictures on the mesh are read too: baseColorTexture (times
+    baseColorFactor) of .glb and map_Kd of .obj. They must be inside the file, or in the folder
+    ``within`` (None: the folder of the mesh) or below. If a picture cannot be read, a warning says
+    so and the material's colour is used.
 
-    Raises InputError if the file cannot be read, holds no face, one of a missing vertex, or no area; or is not finite.
+    Raises InputError if the file cannot be read, holds no face or no area, if a face names a
+    missing vertex, or if a coordinate is not finite.
     """
     if path.suffix.lower() not in SUFFIXES and path.is_file():
         raise InputError(
@@ -79,18 +78,18 @@ def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> 
         raise InputError(f"{path}: no vertices, expected a mesh")
     if len(faces) == 0:
         raise InputError(
-            f"{path}: {len(vertices):,} vertices but no face, expected a mesh (a point cloud has no surface)"
+            f"{path}: {len(vertices):,} vertices but no face, "
+            "expected a mesh (a point cloud has no surface)"
         )
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise InputError(
-            f"{path}: {int(bad.sum())} of {len(vertices):,} vertices are NaN or infinite, expected numbers"
+            f"{path}: {int(bad.sum())} of {len(vertices):,} vertices are NaN or infinite, "
+            "expected numbers"
         )
-    corners = vertices[faces]
+    origin, first, second = vertices[faces].transpose(1, 0, 2)
     with np.errstate(over="ignore", invalid="ignore"):
-        area = np.linalg.norm(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-        ).sum()
+        area = np.linalg.norm(np.cross(first - origin, second - origin), axis=1).sum()
     if not np.isfinite(area) or area <= 0.0:
         raise InputError(
             f"{path}: the area of its {len(faces):,} faces is {area:g}, expected a surface"
@@ -98,16 +97,53 @@ def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> 
     if textures and pictures.missing:
         more = f" ({len(pictures.missing)} in all)" if len(pictures.missing) > 1 else ""
         warnings.warn(
-            f"{path}: {pictures.missing[0]}{more}, the material's colour stands in", stacklevel=2
+            f"{path}: {pictures.missing[0]}{more}, the material's colour is used", stacklevel=2
         )
     return mesh
 
 
 def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
-    """All parts of the file, each where the file places it; only that faces name vertices is checked."""
+    """All parts of the file as one mesh, each part at the place that the file gives it.
+
+    Raises InputError if the file cannot be read or a face names a missing vertex.
+    """
+    parts, images = _load_parts(path, content, pictures)
+    vertices, faces = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
+    colours, coloured, textures = [], False, []
+    first_vertex, first_face = 0, 0
+    for part, points, triangles in parts:
+        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
+            wrong = triangles.min() if triangles.min() < 0 else triangles.max()
+            raise InputError(
+                f"{path}: a face names vertex {wrong}, expected 0 to {len(points) - 1}"
+            )
+        image = images.get(part.metadata.get("name"))
+        if image is not None:
+            numbers = np.arange(first_face, first_face + len(triangles))
+            corners = np.asarray(part.visual.uv, dtype=np.float64)[triangles]
+            textures.append(Texture(image, numbers, corners))
+        of_part = _face_colours(part, len(triangles))
+        coloured = coloured or of_part is not None
+        grey = np.full((len(triangles), 3), GREY, np.uint8)
+        colours.append(grey if of_part is None else of_part)
+        vertices.append(points)
+        faces.append(triangles + first_vertex)
+        first_vertex, first_face = first_vertex + len(points), first_face + len(triangles)
+    return Mesh(
+        np.concatenate(vertices),
+        np.concatenate(faces),
+        np.concatenate(colours) if coloured else None,
+        tuple(textures),
+    )
+
+
+def _load_parts(
+    path: Path, content: bytes, pictures: Pictures
+) -> tuple[list[tuple[Any, Array, Indices]], dict[str, Pixels | None]]:
+    """Each part of the file with its vertices and faces, and the picture of each geometry."""
     import trimesh
 
-    # The library and its parts log their own complaints with a traceback; the one line raised below replaces them.
+    # trimesh logs its own errors with a traceback. The one line that is raised below replaces them.
     log = logging.getLogger("trimesh")
     before = log.level
     log.setLevel(logging.CRITICAL + 1)
@@ -119,56 +155,25 @@ def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )
             images = {name: pictures.take(geometry) for name, geometry in scene.geometry.items()}
-            parts: list[Any] = scene.dump()
-            vertices = [
-                np.array(getattr(part, "vertices", ()), dtype=np.float64).reshape(-1, 3)
-                for part in parts
-            ]
-            faces = [
-                np.array(getattr(part, "faces", ()), dtype=np.int64).reshape(-1, 3)
-                for part in parts
-            ]
-    # A damaged file makes the parser fail in any way there is.
+            parts = []
+            for part in scene.dump():
+                vertices = np.array(getattr(part, "vertices", ()), dtype=np.float64)
+                faces = np.array(getattr(part, "faces", ()), dtype=np.int64)
+                parts.append((part, vertices.reshape(-1, 3), faces.reshape(-1, 3)))
+    # A damaged file can make the parser raise anything.
     except Exception as error:
         raise InputError(
-            f"{path}: is not a readable {path.suffix.lower()} mesh ({reason(error)})"
+            f"{path}: is not a readable {path.suffix.lower()} mesh ({reason(error)}), "
+            "expected a whole file"
         ) from None
     finally:
         log.setLevel(before)
-    colours = [
-        _face_colours(part, len(triangles)) for part, triangles in zip(parts, faces, strict=True)
-    ]
-    textures, joined, first_vertex, first_face = [], [np.empty((0, 3), np.int64)], 0, 0
-    for part, points, triangles in zip(parts, vertices, faces, strict=True):
-        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
-            wrong = triangles.min() if triangles.min() < 0 else triangles.max()
-            raise InputError(
-                f"{path}: a face names vertex {wrong}, expected 0 to {len(points) - 1}"
-            )
-        image = images.get(part.metadata.get("name"))
-        if image is not None:
-            numbers = np.arange(first_face, first_face + len(triangles))
-            textures.append(
-                Texture(image, numbers, np.asarray(part.visual.uv, dtype=np.float64)[triangles])
-            )
-        joined.append(triangles + first_vertex)
-        first_vertex, first_face = first_vertex + len(points), first_face + len(triangles)
-    known = [
-        np.full((len(f), 3), GREY, np.uint8) if c is None else c
-        for c, f in zip(colours, faces, strict=True)
-    ]
-    painted = any(c is not None for c in colours)
-    return Mesh(
-        np.concatenate([np.empty((0, 3)), *vertices]),
-        np.concatenate(joined),
-        np.concatenate(known) if painted else None,
-        tuple(textures),
-    )
+    return parts, images
 
 
-def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
-    """RGB of every face [F, 3], or None where the file states no colour or one that cannot be read."""
-    # Colour only decorates the picture: an odd material must not stop the work.
+def _face_colours(part: Any, count: int) -> Pixels | None:
+    """RGB of every face [F, 3]; None if the file has no colour or one that cannot be read."""
+    # Colours only decorate the picture: an unusual material must not stop the work.
     try:
         visual = part.visual
         if visual.kind == "texture":
@@ -183,5 +188,5 @@ def _face_colours(part: Any, count: int) -> NDArray[np.uint8] | None:
 
 
 def write_mesh(path: Path, mesh: Mesh, overwrite: bool = False) -> None:
-    """Write vertices (float32) and faces as binary little-endian PLY; colours are left out."""
+    """Write vertices (float32) and faces as binary PLY; colours and textures are left out."""
     write_file(path, new_ply(mesh.vertices, "float32", faces=mesh.faces), overwrite)

@@ -1,8 +1,9 @@
-"""Output files are written whole or not at all, and never over another file without being asked.
+"""Output files are written whole or not at all, and replace another file only if the user asks.
 
-While a file is written it is .NAME.xxxxxxxxxxxx.SUFFIX beside it. Its writer locks it: what is there without a lock is of a run
-that was killed, and the next one to write the same file removes it. Long work that writes a file again and again holds
-.NAME.lock beside it.
+While NAME.SUFFIX is written it is the file .NAME.xxxxxxxxxxxx.SUFFIX in the same folder. The writer
+locks this temporary file. A temporary file without a lock was left by a run that was killed: the
+next run that writes the same file removes it. Long work that writes a file again and again holds a
+lock on .NAME.SUFFIX.lock in the same folder.
 """
 
 from __future__ import annotations
@@ -15,9 +16,14 @@ from pathlib import Path
 
 from ..errors import InputError
 
+_LONGEST_REASON = 200  # characters
+
 
 def check_output(path: Path, overwrite: bool) -> None:
-    """Before the work starts, raise InputError for an output that cannot or, without ``overwrite``, must not be written."""
+    """Raise InputError, before the work starts, if the file ``path`` cannot be written.
+
+    A file that exists may be replaced only with ``overwrite``.
+    """
     try:
         folder = Path(os.path.realpath(path)).parent
         if path.is_dir():
@@ -31,7 +37,7 @@ def check_output(path: Path, overwrite: bool) -> None:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: is not a regular file, expected the name of a file to write")
         if path.exists() and not overwrite:
-            raise InputError(f"{path}: exists already, expected a new name or --overwrite")
+            raise InputError(f"{path}: exists already, expected a new name or `overwrite`")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise InputError(f"{path}: the folder {folder} is not writable")
     except (OSError, ValueError) as error:
@@ -40,24 +46,26 @@ def check_output(path: Path, overwrite: bool) -> None:
 
 @contextmanager
 def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``, with its suffix; on success it takes that name, else it is removed.
+    """Yield a temporary path in the folder of ``path``, with the same suffix.
 
-    A symbolic link stays, and the file it points to is replaced.
+    After success the temporary file becomes ``path``, after an error it is removed. A symbolic
+    link stays, and the file that it points to is replaced.
 
-    Raises InputError if writing failed or, without ``overwrite``, if by then another file has the name.
+    Raises InputError if writing failed or, without ``overwrite``, if ``path`` exists by then.
     """
     try:
         target = Path(os.path.realpath(path))
         temporary = target.with_name(f".{target.stem[:40]}.{os.urandom(6).hex()}{target.suffix}")
-        _sweep(target)
-        # Created here, so that the file gets the permissions the user's umask asks for and the name is surely ours.
+        _remove_abandoned(target)
+        # Creating the file here gives it the permissions of the user's umask, and makes sure that
+        # nobody else has a file of this name.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written ({reason(error)})") from None
     held = lock(temporary)
     try:
         yield temporary
-        # A full disk may show only when the data leave the memory.
+        # A full disk may become apparent only when the data leave the memory.
         handle = os.open(temporary, os.O_RDWR)
         try:
             os.fsync(handle)
@@ -68,7 +76,7 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
         else:
             _take_name(temporary, target)
     except FileExistsError:
-        raise InputError(f"{path}: exists already, expected a new name or --overwrite") from None
+        raise InputError(f"{path}: exists already, expected a new name or `overwrite`") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({reason(error)}), nothing was kept") from None
     finally:
@@ -79,26 +87,26 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
 
 
 def write_file(path: Path, data: bytes, overwrite: bool = False) -> None:
-    """Write a whole file, or none; InputError as `check_output` and `atomic_output`."""
+    """Write a whole file or nothing; InputError as `check_output` and `atomic_output`."""
     check_output(path, overwrite)
     with atomic_output(path, overwrite) as temporary:
         temporary.write_bytes(data)
 
 
 def _take_name(temporary: Path, target: Path) -> None:
-    """Give a file a name that no other has; FileExistsError where one has it."""
+    """Rename a file; FileExistsError if another file has the name ``target``."""
     try:
         os.link(temporary, target)
     except FileExistsError:
         raise
     except OSError:
-        # A file system without links: an empty file holds the name for the moment.
+        # This file system has no links: an empty file reserves the name for a moment.
         os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         temporary.replace(target)
 
 
-def _sweep(target: Path) -> None:
-    """Remove what killed runs left of ``target``."""
+def _remove_abandoned(target: Path) -> None:
+    """Remove the temporary files of ``target`` that killed runs have left."""
     name = re.compile(rf"\.{re.escape(target.stem[:40])}\.[0-9a-f]{{12}}{re.escape(target.suffix)}")
     with suppress(OSError), os.scandir(target.parent) as entries:
         for entry in entries:
@@ -113,9 +121,10 @@ def _sweep(target: Path) -> None:
 
 @contextmanager
 def sole_writer(path: Path) -> Iterator[None]:
-    """Work on ``path`` for as long as this lasts; InputError where another process does. Where no lock can be had, both do.
+    """Be the only process that writes ``path``; InputError if another process is writing it.
 
-    A killed process keeps nobody out, nor do processes that it forked.
+    A killed process holds no lock, and the processes that it forked hold none either. If the
+    system has no locks, nothing is checked.
     """
     target = Path(os.path.realpath(path))
     place, held = target.with_name(f".{target.name}.lock"), None
@@ -124,16 +133,16 @@ def sole_writer(path: Path) -> Iterator[None]:
 
         while held is None:
             held = os.open(place, os.O_CREAT | os.O_RDWR, 0o666)
-            # In contrast to that of `lock`, this lock is no child's.
+            # Child processes do not inherit this lock; they would inherit the lock of `lock`.
             fcntl.lockf(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not os.fstat(held).st_nlink:  # the one before removed it in between
+            if not os.fstat(held).st_nlink:  # its last owner removed the file in between
                 os.close(held)
                 held = None
     except BlockingIOError:
         assert held is not None
         os.close(held)
         raise InputError(
-            f"{path}: another process is writing it, expected another name, or to wait for it"
+            f"{path}: another process is writing it, expected another name (or wait for it to end)"
         ) from None
     except (ImportError, OSError, ValueError):
         pass
@@ -147,7 +156,10 @@ def sole_writer(path: Path) -> Iterator[None]:
 
 
 def lock(path: Path) -> int | None:
-    """Lock a file or folder, until what is returned is closed or the process ends; None where it is locked or cannot be."""
+    """Lock a file or folder; the lock lasts until the returned handle is closed.
+
+    Returns None if somebody else has locked it, or if it cannot be locked.
+    """
     try:
         import fcntl
 
@@ -163,9 +175,9 @@ def lock(path: Path) -> int | None:
 
 
 def reason(error: BaseException) -> str:
-    """What the system or a library says of ``error``, on one line and without a path."""
+    """What the system or a library says about ``error``, on one line and without a path."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     text = " ".join(text.split()) or type(error).__name__
-    # Libraries quote damaged files, whose control characters have no place on a terminal.
+    # Libraries quote damaged files: their control characters must not reach a terminal.
     text = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
-    return text if len(text) <= 200 else text[:197] + "..."
+    return text if len(text) <= _LONGEST_REASON else text[: _LONGEST_REASON - 3] + "..."

@@ -1,4 +1,7 @@
-"""PLY files: coordinates, colours and faces in; out with moved vertices, while every other byte stays as it is."""
+"""PLY files: read coordinates, colours and faces; write the file again with moved vertices.
+
+Every byte that is not a coordinate stays as it is.
+"""
 
 from __future__ import annotations
 
@@ -8,31 +11,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Indices
 from .ply_body import BinaryBody, TextBody, layout
 from .ply_header import Element, parse_header
-from .reading import Integers, require_memory, shown
+from .reading import require_memory, shown
 
-Points = NDArray[np.float64]
+# Names of properties.
 AXES = ("x", "y", "z")
 COLOURS = ("red", "green", "blue")
 CORNERS = ("vertex_indices", "vertex_index")
 NORMALS = {"nx", "ny", "nz", "normal_x", "normal_y", "normal_z"}
-ORIENTED = {"normals": NORMALS, "rotations": {"rot_0"}, "scales": {"scale_0"}}
+# What is wrong once the vertices have moved; rotations and scales belong to Gaussian splats.
+STALE_AFTER_MOVING = {"normals": NORMALS, "rotations": {"rot_0"}, "scales": {"scale_0"}}
 
 
 class PlyFile:
-    """A PLY file with the bytes ``data``, text or binary, with the vertex element anywhere among others.
+    """A PLY file with the bytes ``data``, text or binary; the vertex element may be at any place.
 
-    Raises InputError if it is not a PLY file, has no x, y, z, or its body is shorter or longer than the header says; or if
-    there is no memory for ``bytes_a_vertex`` of each vertex.
+    Raises InputError if ``data`` is not a PLY file, has no x, y, z, or has a body that is shorter
+    or longer than the header says. Also raises InputError if there is no memory for
+    ``bytes_per_vertex`` bytes for each vertex.
     """
 
-    def __init__(self, data: bytes, path: Path, bytes_a_vertex: int = 0) -> None:
+    def __init__(self, data: bytes, path: Path, bytes_per_vertex: int = 0) -> None:
         self.data, self.path = data, path
         self.header = parse_header(data, path)
         self.vertex = self._vertex()
-        # A file that is cut short has fewer vertices than its header says; each takes three bytes or more.
-        require_memory(path, bytes_a_vertex * min(self.vertex.count, len(data) // 3))
+        # A truncated file has fewer vertices than its header says. A vertex takes 3 bytes or more.
+        require_memory(path, bytes_per_vertex * min(self.vertex.count, len(data) // 3))
         self.kinds = [self.vertex.properties[axis].kind for axis in AXES]
         self._body = (
             BinaryBody(data, path, self.header.size, self.header.order)
@@ -48,37 +54,46 @@ class PlyFile:
     def _vertex(self) -> Element:
         vertex = self.header.elements.get("vertex")
         if vertex is None:
+            names = shown(", ".join(self.header.elements) or "none")
             raise InputError(
-                f"{self.path}: has no vertex element (elements: {shown(', '.join(self.header.elements) or 'none')})"
+                f"{self.path}: has no vertex element (elements: {names}), expected one"
             )
         for axis in AXES:
             if axis not in vertex.properties:
                 names = shown(", ".join(vertex.properties) or "none")
-                raise InputError(f"{self.path}: its vertices have no {axis} (properties: {names})")
+                raise InputError(
+                    f"{self.path}: its vertices have no {axis} (properties: {names}), "
+                    "expected x, y and z"
+                )
             if vertex.properties[axis].length_kind:
                 raise InputError(
                     f"{self.path}: {axis} of its vertices is a list, expected one number"
                 )
         return vertex
 
-    def _places_of(self, element: Element, names: tuple[str, ...]) -> Integers:
-        """[N, names] places of values in the rows of ``element``."""
+    def _places_of(self, element: Element, names: tuple[str, ...]) -> Indices:
+        """The places [N, names] of the properties ``names`` in the rows of ``element``."""
         places, _ = layout(self._body, element, self._rows[element.name], names)
         return np.stack([places[name] for name in names], axis=1)
 
     @property
-    def oriented(self) -> str:
-        """What no longer fits once the vertices move: normals, and of Gaussian splats rotations and scales; "" without any."""
+    def stale_after_moving(self) -> str:
+        """What is wrong once the vertices have moved, such as "normals"; "" if nothing is."""
         return ", ".join(
-            name for name, of_it in ORIENTED.items() if not of_it.isdisjoint(self.vertex.properties)
+            name
+            for name, properties in STALE_AFTER_MOVING.items()
+            if not properties.isdisjoint(self.vertex.properties)
         )
 
-    def read(self) -> Points:
+    def read(self) -> Array:
         """The coordinates [N, 3] of the vertices, in the file's order."""
         return self._body.columns(self._places, self.kinds)
 
-    def read_colours(self) -> Points | None:
-        """Red, green and blue [N, 3] in [0, 1], None where the file has none; InputError where floats lie outside."""
+    def read_colours(self) -> Array | None:
+        """Red, green and blue [N, 3] in [0, 1]; None if the file has no colours.
+
+        Raises InputError if colours of a floating-point type lie outside [0, 1].
+        """
         kinds = [
             p.kind
             for name in COLOURS
@@ -95,8 +110,11 @@ class PlyFile:
             )
         return colours
 
-    def read_faces(self) -> Integers | None:
-        """Triangles [F, 3], polygons as fans; None where the file has no faces, InputError for a vertex that is not there."""
+    def read_faces(self) -> Indices | None:
+        """Triangles [F, 3], polygons as fans of triangles; None if the file has no faces.
+
+        Raises InputError if a face names a vertex that does not exist.
+        """
         element = self.header.elements.get("face")
         lists = (
             [p for p in element.properties.values() if p.name in CORNERS and p.length_kind]
@@ -111,13 +129,11 @@ class PlyFile:
         lengths = self._body.values(starts[:, 0], corners.length_kind)
         fans = [np.empty((0, 3), dtype=np.int64)]
         for length in np.unique(lengths[lengths >= 3]).astype(int).tolist():
-            steps = self._body.width(corners.length_kind) + self._body.width(
-                corners.kind
-            ) * np.arange(length)
-            polygons = self._body.values(starts[lengths == length] + steps, corners.kind)
-            wrong = ~(
-                (polygons >= 0) & (polygons < self.vertex.count) & (polygons == np.floor(polygons))
-            )
+            width, length_width = map(self._body.width, (corners.kind, corners.length_kind))
+            places = starts[lengths == length] + length_width + width * np.arange(length)
+            polygons = self._body.values(places, corners.kind)
+            exists = (polygons >= 0) & (polygons < self.vertex.count)
+            wrong = ~(exists & (polygons == np.floor(polygons)))
             if wrong.any():
                 last = self.vertex.count - 1
                 raise InputError(
@@ -127,11 +143,12 @@ class PlyFile:
             fans.append(np.stack(triangles, axis=1).reshape(-1, 3).astype(np.int64))
         return np.concatenate(fans)
 
-    def with_points(self, points: Points) -> bytes:
-        """The file with its vertices moved to ``points`` [N, 3]; what is not a coordinate keeps its bytes.
+    def with_points(self, points: Array) -> bytes:
+        """The file with its vertices moved to ``points`` [N, 3]; all other bytes stay.
 
-        Integer coordinates become double. In text only numbers that change are rewritten, with the digits of their type, or of
-        a double where the text holds more.
+        Integer coordinates become double. In a text file only the numbers that change are written
+        again. They get the digits of their type; if the text has more digits than that, they get
+        the digits of a double.
         """
         old = self.read()
         if np.array_equal(old, points):
@@ -147,8 +164,11 @@ class PlyFile:
         return head + self._body.moved(self._places, self.kinds, old, points)
 
 
-def new_ply(points: Points, dtype: str, faces: NDArray[np.integer] | None = None) -> bytes:
-    """A binary PLY file with ``points`` [N, 3] as "float32" or "float64", and ``faces`` [F, 3] if any."""
+def new_ply(points: Array, dtype: str, faces: NDArray[np.integer] | None = None) -> bytes:
+    """A binary PLY file of ``points`` [N, 3] and ``faces`` [F, 3].
+
+    ``dtype`` is the type of the coordinates, "float32" or "float64".
+    """
     kind = "float" if dtype == "float32" else "double"
     lines = [f"element vertex {len(points)}", *(f"property {kind} {axis}" for axis in AXES)]
     body = points.astype(np.dtype(dtype).newbyteorder("<")).tobytes()
@@ -157,7 +177,5 @@ def new_ply(points: Points, dtype: str, faces: NDArray[np.integer] | None = None
         polygons = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
         polygons["count"], polygons["corners"] = 3, faces
         body += polygons.tobytes()
-    return (
-        "\n".join(["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]).encode()
-        + body
-    )
+    header = ["ply", "format binary_little_endian 1.0", *lines, "end_header", ""]
+    return "\n".join(header).encode() + body

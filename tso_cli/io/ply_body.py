@@ -1,4 +1,8 @@
-"""The body of a PLY file: where its rows and values stand, what they are, and the same body with moved points."""
+"""The body of a PLY file: the places of its values, the values, and the body with moved points.
+
+A place is a number that says where a value is in the file. `BinaryBody` counts bytes, `TextBody`
+counts words. Otherwise the two do the same, by methods of the same names.
+"""
 
 from __future__ import annotations
 
@@ -9,33 +13,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Indices
 from .ply_header import Element
-from .reading import Integers, TextTable, shown
+from .reading import TextTable, shown
 
-Points = NDArray[np.float64]
-_CHUNK = 1 << 16  # values replaced at a time
+_VALUES_AT_ONCE = 1 << 16  # bounds the memory that replacing values takes
 
 
 def layout(
-    body: BinaryBody | TextBody, element: Element, rows: Integers, names: tuple[str, ...] = ()
-) -> tuple[dict[str, Integers], Integers]:
-    """The places [N] of the properties ``names`` in rows that start at ``rows`` [N], and where the rows end."""
+    body: BinaryBody | TextBody, element: Element, rows: Indices, names: tuple[str, ...] = ()
+) -> tuple[dict[str, Indices], Indices]:
+    """Where the properties ``names`` and the ends of rows are, for rows that start at ``rows`` [N].
+
+    Returns name -> places [N], and the places [N] at which the rows end.
+    """
     at, places = rows, {}
     for p in element.properties.values():
         if p.name in names:
             places[p.name] = at
-        size = body.width(p.kind)
-        at = at + (
-            body.width(p.length_kind) + size * body.lengths(rows, at, p.length_kind)
-            if p.length_kind
-            else size
-        )
+        size: Indices | int = body.width(p.kind)
+        if p.length_kind:
+            lengths = body.lengths(rows, at, p.length_kind)
+            size = body.width(p.length_kind) + size * lengths
+        at = at + size
     return places, at
 
 
-def _short(path: Path, element: Element, rows: int) -> InputError:
+def _truncated(path: Path, element: Element, rows: int) -> InputError:
     return InputError(
-        f"{path}: ends after {rows} of {element.count} rows of element {shown(element.name)}"
+        f"{path}: ends after {rows} of {element.count} rows of element {shown(element.name)}, "
+        "expected a whole file"
     )
 
 
@@ -47,12 +54,15 @@ class BinaryBody:
         self._at = start  # where the next rows start
 
     def width(self, kind: str) -> int:
+        """The number of places that a value of ``kind`` takes."""
         return int(kind[1])
 
-    def values(self, places: Integers, kind: str) -> NDArray[Any]:
+    def values(self, places: Indices, kind: str) -> NDArray[Any]:
+        """The values of ``kind`` at ``places`` [...]."""
         return self._view(self.data, kind)[places]
 
-    def columns(self, places: Integers, kinds: list[str]) -> Points:
+    def columns(self, places: Indices, kinds: list[str]) -> Array:
+        """The values [N, K] at ``places`` [N, K]; column k is of the k-th kind."""
         with np.errstate(invalid="ignore"):  # signalling NaN
             return np.stack(
                 [self.values(places[:, k], kind) for k, kind in enumerate(kinds)],
@@ -60,7 +70,8 @@ class BinaryBody:
                 dtype=np.float64,
             )
 
-    def lengths(self, rows: Integers, places: Integers, kind: str) -> Integers:
+    def lengths(self, rows: Indices, places: Indices, kind: str) -> Indices:
+        """The lengths [N] of lists at ``places`` [N] in the rows that start at ``rows`` [N]."""
         return self.values(places.clip(0, len(self.data) - self.width(kind)), kind).astype(np.int64)
 
     def _view(self, data: bytes | bytearray, kind: str) -> NDArray[Any]:
@@ -68,8 +79,11 @@ class BinaryBody:
         dtype = np.dtype(self._order + kind)
         return np.ndarray((max(len(data) - dtype.itemsize + 1, 0),), dtype, data, 0, (1,))
 
-    def take_rows(self, element: Element) -> Integers:
-        """Where the next rows start; InputError where the file ends before them. Rows that are not there take no memory."""
+    def take_rows(self, element: Element) -> Indices:
+        """Where the next rows start; InputError if the file ends before the last of them.
+
+        Rows that the header promises and the file lacks take no memory.
+        """
         if not element.count or not element.properties:
             return np.empty(0, dtype=np.int64)
         size = self._row_end(element, self._at, 0) - self._at
@@ -100,17 +114,20 @@ class BinaryBody:
                     )
             at += count * self.width(p.kind)
         if at > len(self.data):
-            raise _short(self.path, element, row)
+            raise _truncated(self.path, element, row)
         return at
 
     def check_end(self) -> None:
+        """Raise InputError if anything follows the last row."""
         rest = self.data[self._at :]
         if rest.strip():
             raise InputError(
-                f"{self.path}: {len(rest):,} bytes follow the data that the header accounts for, expected none"
+                f"{self.path}: {len(rest):,} bytes follow the data that the header describes, "
+                "expected none"
             )
 
-    def moved(self, places: Integers, kinds: list[str], old: Points, points: Points) -> bytes:
+    def moved(self, places: Indices, kinds: list[str], old: Array, points: Array) -> bytes:
+        """The body with the values ``points`` [N, K] in place of ``old`` at ``places`` [N, K]."""
         out = bytearray(self.data)
         for k, kind in enumerate(kinds):
             if kind[0] == "f":
@@ -123,7 +140,7 @@ class BinaryBody:
 
 
 class TextBody:
-    """The rows of a text file, one a line. The place of a value is the index of its word."""
+    """The rows of a text file, one per line. The place of a value is the index of its word."""
 
     def __init__(self, data: bytes, path: Path, start: int, lines_before: int) -> None:
         self.path, self._start = path, start
@@ -133,32 +150,32 @@ class TextBody:
     def width(self, kind: str) -> int:
         return 1
 
-    def values(self, places: Integers, kind: str) -> NDArray[Any]:
+    def values(self, places: Indices, kind: str) -> NDArray[Any]:
         return self._table.values(places)
 
-    def columns(self, places: Integers, kinds: list[str]) -> Points:
+    def columns(self, places: Indices, kinds: list[str]) -> Array:
         return self._table.values(places)
 
-    def lengths(self, rows: Integers, places: Integers, kind: str) -> Integers:
+    def lengths(self, rows: Indices, places: Indices, kind: str) -> Indices:
         lines = np.searchsorted(self._table.first, rows)
-        # Past the end of a short line any word will do: the line is refused for its number of words.
+        # Past the end of a short line any word will do: `take_rows` refuses the short line.
         lengths = self.values(np.minimum(places, len(self._table.starts) - 1), kind)
-        bad = ~(
-            (lengths >= 0) & (lengths <= self._table.counts[lines]) & (lengths == np.floor(lengths))
-        )
+        fits = (lengths >= 0) & (lengths <= self._table.counts[lines])
+        bad = ~(fits & (lengths == np.floor(lengths)))
         if bad.any():
             line, length = self._table.numbers[lines][bad.argmax()], lengths[bad.argmax()]
             raise InputError(
-                f"{self.path}: line {line} has a list of {length:g} values, more than the line holds"
+                f"{self.path}: line {line} has a list of {length:g} values, "
+                "expected a whole number, at most the values in the line"
             )
         return lengths.astype(np.int64)
 
-    def take_rows(self, element: Element) -> Integers:
-        """The first words of the next lines; InputError where they do not have the words that ``element`` says."""
+    def take_rows(self, element: Element) -> Indices:
+        """The first words of the next rows; InputError if a row has too few or too many words."""
         lines = slice(self._used, self._used + (element.count if element.properties else 0))
         rows, counts = self._table.first[lines], self._table.counts[lines]
         if len(rows) < lines.stop - lines.start:
-            raise _short(self.path, element, len(rows))
+            raise _truncated(self.path, element, len(rows))
         expected = layout(self, element, rows)[1] - rows
         if (wrong := counts != expected).any():
             row = int(wrong.argmax())
@@ -173,10 +190,11 @@ class TextBody:
         lines = len(self._table.first)
         if self._used < lines:
             raise InputError(
-                f"{self.path}: has {lines} lines of data, the header accounts for {self._used}, expected the same"
+                f"{self.path}: has {lines} lines of data, the header describes {self._used}, "
+                "expected the same"
             )
 
-    def moved(self, places: Integers, kinds: list[str], old: Points, points: Points) -> bytes:
+    def moved(self, places: Indices, kinds: list[str], old: Array, points: Array) -> bytes:
         starts, ends, words = [], [], []
         for k, kind in enumerate(kinds):
             new: NDArray[Any] = points[:, k]
@@ -184,29 +202,22 @@ class TextBody:
             with np.errstate(over="ignore"):
                 single = was.astype(np.float32)
             if kind == "f4" and np.array_equal(single.astype("S32").astype(np.float64), was):
-                new, was = (
-                    new.astype(np.float32),
-                    single,
-                )  # the text has no more digits than its type
+                # The text has no more digits than its type.
+                new, was = new.astype(np.float32), single
             changed = new != was
             starts.append(self._table.starts[places[changed, k]])
             ends.append(self._table.ends[places[changed, k]])
             words.append(new[changed].astype("S32"))
-        return _spliced(
-            self._table.data,
-            self._start,
-            np.concatenate(starts),
-            np.concatenate(ends),
-            np.concatenate(words),
-        )
+        spans = np.concatenate(starts), np.concatenate(ends), np.concatenate(words)
+        return _spliced(self._table.data, self._start, *spans)
 
 
 def _spliced(
-    data: bytes | bytearray, at: int, starts: Integers, ends: Integers, words: NDArray[Any]
+    data: bytes | bytearray, at: int, starts: Indices, ends: Indices, words: NDArray[Any]
 ) -> bytes:
     """``data[at:]`` with the bytes from ``starts`` to ``ends`` [W] replaced by ``words`` [W]."""
     out = bytearray()
-    for part in np.array_split(np.argsort(starts), 1 + len(starts) // _CHUNK):
+    for part in np.array_split(np.argsort(starts), 1 + len(starts) // _VALUES_AT_ONCE):
         for start, end, word in zip(
             starts[part].tolist(), ends[part].tolist(), words[part].tolist(), strict=True
         ):

@@ -9,21 +9,22 @@ from pathlib import Path
 from ..errors import InputError
 from .reading import shown
 
-HEADER_LIMIT = (
-    1 << 20
-)  # bytes; a real header has a few hundred, one with a long list of comments some thousand
+# Bytes. Real headers have a few hundred bytes, with many comments a few thousand.
+HEADER_LIMIT = 1 << 20
+# Rows of an element. A larger count can only be damage.
 COUNT_LIMIT = 1 << 60
-FORMS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 KINDS = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
-    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4",
-    "double": "f8", "float64": "f8",
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Property:
-    """One value of an element, or a list where ``length_kind`` is set. Kinds are numpy's: "f4", "u1"."""
+    """One value of an element, or a list if ``length_kind`` is set. Kinds are numpy's: "f4"."""
 
     name: str
     kind: str
@@ -40,27 +41,32 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """``order`` is the byte order ("<" or ">"), "" for a text body; the body starts at byte ``size``."""
+    """A PLY header that was read."""
 
-    order: str
+    order: str  # byte order of the body, "<" or ">"; "" for a text body
     elements: dict[str, Element]
-    size: int
+    size: int  # bytes of the header: the body starts there
     lines: int
 
 
 def parse_header(data: bytes, path: Path) -> Header:
-    """Read the header at the start of ``data``; InputError where it is none or contradicts itself."""
+    """Read the header at the start of ``data``.
+
+    Raises InputError if ``data`` does not start with a header, or if the header contradicts itself.
+    """
     first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if first is None:
+        found = shown(data[:12])
         raise InputError(
-            f"{path}: is not a PLY file (starts with {shown(data[:12])}), expected a first line 'ply'"
+            f"{path}: is not a PLY file (starts with {found}), expected a first line 'ply'"
         )
-    # Where lines end in a bare \r, a \n after the header already belongs to a binary body.
+    # If lines end in a bare \r, a \n after the header already belongs to a binary body.
     ending = rb"\r" if first[1] == b"\r" else rb"(?:\r\n|\n|\r)"
     end = re.compile(rb"[\r\n]end_header[ \t]*" + ending).search(data, 0, HEADER_LIMIT)
     if end is None:
         raise InputError(
-            f"{path}: the PLY header has no end_header line within its first {HEADER_LIMIT:,} bytes"
+            f"{path}: the PLY header has no end_header line, "
+            f"expected one within its first {HEADER_LIMIT:,} bytes"
         )
     elements: dict[str, Element] = {}
     properties: dict[str, Property] | None = None
@@ -72,17 +78,14 @@ def parse_header(data: bytes, path: Path) -> Header:
         if not words or words[0] in ("comment", "obj_info"):
             continue
         if words[0] == "format":
-            if len(words) != 3 or words[1] not in FORMS or words[2] != "1.0":
-                raise InputError(f"{line}: expected one of {', '.join(FORMS)} and version 1.0")
+            if len(words) != 3 or words[1] not in FORMATS or words[2] != "1.0":
+                raise InputError(f"{line}: expected one of {', '.join(FORMATS)} and version 1.0")
             if order is not None:
                 raise InputError(f"{line}: a second format, expected one")
-            order = FORMS[words[1]]
+            order = FORMATS[words[1]]
         elif words[0] == "element":
-            if (
-                len(words) != 3
-                or not re.fullmatch(r"[0-9]{1,20}", words[2])
-                or int(words[2]) > COUNT_LIMIT
-            ):
+            fits = len(words) == 3 and re.fullmatch(r"[0-9]{1,20}", words[2])
+            if not fits or int(words[2]) > COUNT_LIMIT:
                 raise InputError(f"{line}: expected a name and a count")
             if words[1] in elements:
                 raise InputError(f"{line}: a second element of that name, expected one")
@@ -98,7 +101,7 @@ def parse_header(data: bytes, path: Path) -> Header:
         else:
             raise InputError(f"{line}: expected format, comment, obj_info, element or property")
     if order is None:
-        raise InputError(f"{path}: the PLY header has no format line")
+        raise InputError(f"{path}: the PLY header has no format line, expected one")
     return Header(order, elements, end.end(), len(lines) + 2)
 
 
@@ -113,5 +116,6 @@ def _property(words: list[str], match: re.Match[bytes], line: str) -> Property:
         start = match.start() + match[0].index(words[1].encode())
         return Property(words[2], KINDS[words[1]], None, (start, start + len(words[1])))
     raise InputError(
-        f"{line}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME' with types of PLY 1.0"
+        f"{line}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME' "
+        "with types of PLY 1.0"
     )

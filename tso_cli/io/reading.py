@@ -1,4 +1,7 @@
-"""The bytes, JSON document, array (.npy) or table of an input file, or one clear line why not. Nothing is unpickled."""
+"""Input files: bytes, JSON documents, arrays (.npy) and tables of numbers.
+
+What cannot be read is an InputError with one line that says why. Nothing is unpickled.
+"""
 
 from __future__ import annotations
 
@@ -16,36 +19,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Indices
 from .output import reason
 
-Integers = NDArray[np.int64]
-_LONGEST = 100  # characters of a number
+_LONGEST_NUMBER = 100  # characters
+_LONGEST_QUOTE = 60  # characters of a file that a message quotes
 _BLANK = np.isin(np.arange(256), list(b"\t\n\v\f\r "))
-_READERS = {
+_HEADER_READERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
 }
 
 
 def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = -1) -> bytes:
-    """The bytes of the regular file ``path``, or the first ``most`` of them.
+    """The bytes of the regular file ``path``; with ``most`` >= 0 only the first ``most`` bytes.
 
-    Raises InputError, naming what is ``expected``, if it is missing, none, unreadable, empty or larger than ``limit`` bytes.
+    Raises InputError if the file is missing, not a regular file, unreadable, empty or larger than
+    ``limit`` bytes. The message says what is ``expected``.
     """
     try:
-        about = path.stat()
-        if stat.S_ISDIR(about.st_mode):
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
             raise InputError(f"{path}: is a folder, expected {expected}")
-        if not stat.S_ISREG(about.st_mode):
+        if not stat.S_ISREG(status.st_mode):
             raise InputError(f"{path}: is not a regular file, expected {expected}")
-        if about.st_size == 0:
+        if status.st_size == 0:
             raise InputError(f"{path}: is empty, expected {expected}")
-        if limit is not None and about.st_size > limit:
+        if limit is not None and status.st_size > limit:
             raise InputError(
-                f"{path}: holds {about.st_size:,} bytes, expected {expected} of at most {limit:,}"
+                f"{path}: holds {status.st_size:,} bytes, expected {expected} of at most {limit:,}"
             )
         if most < 0:
-            require_memory(path, 2 * about.st_size)
+            require_memory(path, 2 * status.st_size)
         with path.open("rb") as stream:
             return stream.read(most)
     except (FileNotFoundError, NotADirectoryError):
@@ -57,14 +62,17 @@ def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = 
 
 
 def require_memory(path: Path, needed: int) -> None:
-    """InputError unless so many bytes of memory are free for what is in ``path``."""
+    """Raise InputError unless ``needed`` bytes of memory are free for what is in ``path``."""
     if needed > (free := free_memory()):
         found = f"needs about {needed / 2**30:.2g} GiB of memory"
         raise InputError(f"{path}: {found}, expected at most the {free / 2**30:.2g} that are free")
 
 
 def free_memory() -> float:
-    """Bytes of memory that are free on this machine and, in a container, left to it; infinite where nothing tells."""
+    """Bytes of memory that are free on this machine, or in the container if that is less.
+
+    Infinite if the system does not say, which only Linux does.
+    """
     free = math.inf
     with suppress(OSError, ValueError, IndexError):
         free = 1024.0 * int(
@@ -83,7 +91,10 @@ def read_json(
     limit: int | None = None,
     build: Callable[[list[tuple[str, Any]]], Any] = dict,
 ) -> Any:
-    """The JSON document in ``path``, its objects made by ``build``; InputError as `read_bytes`, or if it is not JSON."""
+    """The JSON document in ``path``; ``build`` makes its objects from their keys and values.
+
+    Raises InputError as `read_bytes`, or if the file is not JSON; ``form`` says what is expected.
+    """
     try:
         return json.loads(read_bytes(path, expected, limit), object_pairs_hook=build)
     except RecursionError:
@@ -93,20 +104,21 @@ def read_json(
 
 
 def shown(value: object) -> str:
-    """``value`` as a message may quote it: one printable line of at most 60 characters."""
+    """``value`` as a message may quote it: one printable line, shortened if it is long."""
     try:
         text = ascii(value)
     except (RecursionError, ValueError):
         text = f"a {type(value).__name__}"
-    return text if len(text) <= 60 else text[:57] + "..."
+    return text if len(text) <= _LONGEST_QUOTE else text[: _LONGEST_QUOTE - 3] + "..."
 
 
 def read_array(
     data: bytes, path: Path, kinds: str = "biufc", expected: str = "numbers"
 ) -> NDArray[Any]:
-    """The read-only array in the bytes of a .npy file, its type one of numpy's ``kinds``, which messages call ``expected``.
+    """The read-only array in ``data``, the bytes of the .npy file ``path``.
 
-    Raises InputError if it is no such file, or is shorter or longer than its header says.
+    Raises InputError if ``data`` is not such a file, is shorter or longer than its header says, or
+    has values of a type that is not one of numpy's ``kinds``; messages call them ``expected``.
     """
     dtype, shape, fortran, begin = array_header(data, path)
     if dtype.kind not in kinds:
@@ -124,50 +136,56 @@ def read_array(
 
 
 def array_header(data: bytes, path: Path) -> tuple[np.dtype[Any], tuple[int, ...], bool, int]:
-    """Of a .npy file type, shape, order (whether Fortran's) and the byte where values begin; InputError where it is none."""
+    """The header of a .npy file: type, shape, whether columns come first, where values begin.
+
+    Raises InputError if ``data`` is not such a file.
+    """
     stream = io.BytesIO(data)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             version = np.lib.format.read_magic(stream)
-            if version not in _READERS:
+            if version not in _HEADER_READERS:
                 raise ValueError(f"version {version[0]}.{version[1]}, expected 1.0 or 2.0")
-            shape, fortran, dtype = _READERS[version](stream)
-    # numpy evaluates the header as a Python literal, so that a damaged one can raise nearly anything.
+            shape, fortran, dtype = _HEADER_READERS[version](stream)
+    # numpy evaluates the header as a Python literal: a damaged header can raise nearly anything.
     except Exception as error:
         raise InputError(f"{path}: is not a readable .npy file ({reason(error)})") from None
     return dtype, shape, fortran, stream.tell()
 
 
 class TextTable:
-    """The words of ``data[offset:]``, spanning bytes ``starts`` to ``ends`` [T], and the lines they stand in.
+    """The words of ``data[offset:]`` and their lines.
 
-    ``first``, ``counts``, ``numbers`` [L]: of each line that is not blank the index of its first word, its words, its number.
+    starts, ends : [T], the bytes at which each word starts and ends.
+    first : [L], index of the first word of each line; blank lines are left out.
+    counts : [L], how many words each line has.
+    numbers : [L], number of each line in the file, from 1.
     """
 
     def __init__(self, data: bytes, path: Path, offset: int = 0, lines_before: int = 0) -> None:
         self.data, self.path = data, path
         body = np.frombuffer(data, np.uint8, offset=offset)
         edges = np.flatnonzero(np.diff(_BLANK[body], prepend=True, append=True)) + offset
-        self.starts: Integers = edges[0::2]
-        self.ends: Integers = edges[1::2]
-        newline = 10 if (body == 10).any() else 13
+        self.starts: Indices = edges[0::2]
+        self.ends: Indices = edges[1::2]
+        newline = ord("\n") if (body == ord("\n")).any() else ord("\r")
         line = np.searchsorted(np.flatnonzero(body == newline) + offset, self.starts)
-        self.first: Integers = np.flatnonzero(np.diff(line, prepend=-1))
-        self.counts: Integers = np.diff(self.first, append=line.size)
-        self.numbers: Integers = line[self.first] + 1 + lines_before
+        self.first: Indices = np.flatnonzero(np.diff(line, prepend=-1))
+        self.counts: Indices = np.diff(self.first, append=line.size)
+        self.numbers: Indices = line[self.first] + 1 + lines_before
 
     def drop_comments(self) -> None:
         """Forget the lines that start with #."""
         keep = np.frombuffer(self.data, np.uint8)[self.starts[self.first]] != ord("#")
-        self.first, self.counts, self.numbers = (
-            self.first[keep],
-            self.counts[keep],
-            self.numbers[keep],
-        )
+        self.first, self.counts = self.first[keep], self.counts[keep]
+        self.numbers = self.numbers[keep]
 
-    def values(self, words: Integers) -> NDArray[np.float64]:
-        """The numbers [...] that the words with these indices [...] spell; InputError where one is not a number."""
+    def values(self, words: Indices) -> Array:
+        """The numbers [...] in the words with the indices ``words`` [...].
+
+        Raises InputError if a word is not a number.
+        """
         values = np.empty(words.size)
         spans = zip(
             self.starts[words].ravel().tolist(), self.ends[words].ravel().tolist(), strict=True
@@ -175,8 +193,9 @@ class TextTable:
         for k, (start, end) in enumerate(spans):
             word = self.data[start:end]
             try:
-                # float() takes 1_0 for 10.
-                values[k] = float(word if b"_" not in word and len(word) <= _LONGEST else "")
+                # float() would read 1_0 as 10.
+                plain = b"_" not in word and len(word) <= _LONGEST_NUMBER
+                values[k] = float(word if plain else "")
             except ValueError:
                 line = self.numbers[np.searchsorted(self.first, words.flat[k], side="right") - 1]
                 text = shown(word.decode("ascii", "backslashreplace"))

@@ -1,12 +1,14 @@
-"""Any file that describes a shape -> points to judge it by.
+"""Any file that describes a shape -> points that measure it.
 
-- a point cloud gives its points, be it a single one;
-- a mesh (.obj, .off, .stl, .glb, and a .ply with faces) gives points drawn uniformly from its surface;
-- a voxel grid (.npy of 3 dimensions, .binvox) gives points of its boundary: marching cubes at occupancy 0.5, then the same.
+- A point cloud gives its points; a single point is enough.
+- A mesh (.obj, .off, .stl, .glb, or .ply with faces) gives points drawn uniformly from its surface.
+- A voxel grid (.npy of 3 dimensions, .binvox) gives points drawn from its boundary, which marching
+  cubes finds at occupancy 0.5.
 
-Clouds and meshes keep their units and place. The longest side of a .npy grid spans 1; it is centred at the origin, with axes
-x, y, z in the order of the array. The occupied part of a .binvox file is centred at the origin, where the models of ShapeNet
-are: its `translate` is the corner of the object or of the grid, depending on the options it was made with.
+Clouds and meshes keep their units and place. The longest side of a .npy grid becomes 1 and its
+centre the origin; the axes of the array are x, y, z. The occupied part of a .binvox grid is centred
+at the origin, as the models of ShapeNet are. Its `translate` is not used: depending on the options
+of the program that made the file, it is the corner of the object or of the grid.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, prefixed
-from ..geometry.points import Array, sample_surface
+from ..geometry.arrays import Array, Bits, Indices
+from ..geometry.points import sample_surface
 from .clouds import SUFFIXES as CLOUD_SUFFIXES
 from .clouds import read_cloud
 from .meshes import read_mesh
@@ -31,39 +34,40 @@ from .reading import read_array, read_bytes, require_memory, shown
 MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb")
 SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")
 
-# A grid of 512 a side already takes gigabytes on its way to a surface.
-MAX_VOXELS = 512**3
-BYTES_A_VOXEL = 16
+MAX_VOXELS = 512**3  # marching cubes of such a grid already takes gigabytes
+BYTES_PER_VOXEL = 16  # the most memory that a voxel takes on the way to a surface
 _FACES = re.compile(rb"[\r\n]element[ \t]+face[ \t]+0*[1-9]")
-_THREE_SIDES = re.compile(
+_NPY_GRID = re.compile(
     rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+, *[0-9]+,?\)", re.DOTALL
 )
 
 
 def shape_kind(path: Path) -> str:
-    """What the file at ``path`` will be read as: "cloud" (also if it cannot be read), "mesh" or "voxels"."""
+    """What the file ``path`` is read as: "cloud", "mesh" or "voxels"; unreadable files: "cloud"."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
         raise InputError(
-            f"{path}: ends in {suffix or 'nothing'!r}, expected a cloud, mesh or grid: {', '.join(SUFFIXES)}"
+            f"{path}: the suffix is {suffix!r}, "
+            f"expected a cloud, mesh or grid: {', '.join(SUFFIXES)}"
         )
     if suffix in MESH_SUFFIXES:
         return "mesh"
     try:
         head = read_bytes(path, "a shape", most=HEADER_LIMIT) if suffix in (".ply", ".npy") else b""
     except InputError:
-        return "cloud"  # whoever reads it in full says why it cannot be read
+        return "cloud"  # the reader of clouds says why the file cannot be read
     if suffix == ".ply" and _FACES.search(head.partition(b"end_header")[0]):
         return "mesh"
-    return "voxels" if suffix == ".binvox" or _THREE_SIDES.search(head) else "cloud"
+    return "voxels" if suffix == ".binvox" or _NPY_GRID.search(head) else "cloud"
 
 
 def read_shape(
     path: Path, samples: int = 16384, seed: int | Sequence[int] = 0, as_vertices: bool = False
 ) -> Array:
-    """The points [N, 3] by which the shape in a file is judged; InputError if it describes no points and no surface.
+    """The points [N, 3] that measure the shape in a file.
 
-    ``samples`` points are drawn from a surface; a cloud keeps its points, and with ``as_vertices`` a mesh its vertices.
+    A cloud gives its own points; of a surface ``samples`` points are drawn. With ``as_vertices``
+    a mesh gives its vertices. Raises InputError if the file has neither points nor a surface.
     """
     kind = shape_kind(path)
     if kind == "cloud" or (as_vertices and path.suffix.lower() == ".ply"):
@@ -79,10 +83,10 @@ def read_shape(
         return sample_surface(vertices, faces, samples, np.random.default_rng(seed))
 
 
-def grid_surface(path: Path) -> tuple[Array, NDArray[np.int64]]:
-    """Vertices [V, 3] and faces [F, 3] of the closed boundary of the voxel grid in a .npy or .binvox file."""
-    placed = path.suffix.lower() != ".binvox"
-    grid, side = (_read_npy_grid(path), 1.0) if placed else _read_binvox(path)
+def grid_surface(path: Path) -> tuple[Array, Indices]:
+    """Vertices [V, 3] and faces [F, 3] of the closed boundary of a voxel grid (.npy, .binvox)."""
+    binvox = path.suffix.lower() == ".binvox"
+    grid, side = _read_binvox(path) if binvox else (_read_npy_grid(path), 1.0)
     occupied = grid > 0.5
     if not occupied.any():
         sides = " x ".join(map(str, grid.shape))
@@ -91,28 +95,30 @@ def grid_surface(path: Path) -> tuple[Array, NDArray[np.int64]]:
         )
     from skimage.measure import marching_cubes
 
-    # Large grids are mostly empty: cut out the shape, and pad it by a voxel on every side, so that its surface is closed.
+    # Large grids are mostly empty, so the shape is cut out. A padding of one voxel on every side
+    # makes its surface closed.
     spans = [np.flatnonzero(occupied.any(axis)) for axis in ((1, 2), (0, 2), (0, 1))]
     corner = np.array([max(int(span[0]) - 1, 0) for span in spans])
     part = grid[tuple(slice(c, int(span[-1]) + 2) for c, span in zip(corner, spans, strict=True))]
     padded = np.pad(np.clip(part, 0.0, 1.0).astype(np.float32), 1)
     vertices, faces, _, _ = marching_cubes(padded, 0.5)
-    # Voxel i spans i to i + 1 steps from the corner of the grid, its value stands at the middle.
+    # Voxel i spans i to i + 1 in units of a voxel; its value is the value at the middle.
     centres = np.asarray(vertices, dtype=np.float64) - 1.0 + corner + 0.5
-    middle = (
-        np.array(grid.shape) / 2.0 if placed else (centres.min(axis=0) + centres.max(axis=0)) / 2.0
-    )
+    middle = np.array(grid.shape) / 2.0
+    if binvox:
+        middle = (centres.min(axis=0) + centres.max(axis=0)) / 2.0
     return side / max(grid.shape) * (centres - middle), np.asarray(faces, dtype=np.int64)
 
 
-def _read_binvox(path: Path) -> tuple[NDArray[np.bool_], float]:
+def _read_binvox(path: Path) -> tuple[Bits, float]:
     """Occupancy [X, Y, Z] and the longest side of the whole grid, in model units."""
-    # Two bytes hold at least one voxel, so a longer file would be wrong anyway.
+    # Two bytes hold at least one voxel: a longer file is wrong.
     content = read_bytes(path, "a .binvox grid", limit=2 * MAX_VOXELS + 4096)
     header = re.compile(rb"#binvox 1\s(.*?)\ndata\r?\n", re.DOTALL).match(content, 0, 4096)
     if header is None:
         raise InputError(
-            f"{path}: starts with {shown(content[:12])}, expected a .binvox header (#binvox 1 ... data)"
+            f"{path}: starts with {shown(content[:12])}, "
+            "expected a .binvox header (#binvox 1 ... data)"
         )
     fields = {line.split()[0]: line.split()[1:] for line in header[1].splitlines() if line.strip()}
     depth, height, width = (int(side) for side in _numbers(path, fields, b"dim", 3))
@@ -120,22 +126,23 @@ def _read_binvox(path: Path) -> tuple[NDArray[np.bool_], float]:
     total = depth * height * width
     if min(depth, height, width) < 1 or total > MAX_VOXELS:
         raise InputError(
-            f"{path}: dim is {shown(f'{depth} {height} {width}')}, expected 1 to {MAX_VOXELS:,} voxels"
+            f"{path}: dim is {shown(f'{depth} {height} {width}')}, "
+            f"expected 1 to {MAX_VOXELS:,} voxels"
         )
-    require_memory(path, BYTES_A_VOXEL * total)
+    require_memory(path, BYTES_PER_VOXEL * total)
     if not 1e-30 < scale < 1e30:
         raise InputError(f"{path}: scale is {scale:g}, expected a size > 0")
     runs = np.frombuffer(content[header.end() :], dtype=np.uint8)
     if len(runs) % 2:
-        raise InputError(f"{path}: the data end in the middle of a run, the file is cut off")
+        raise InputError(f"{path}: ends in the middle of a run, expected a whole file")
     values, counts = runs[0::2], runs[1::2].astype(np.int64)
     if (values > 1).any():
         raise InputError(f"{path}: a run has the value {int(values.max())}, expected 0 or 1")
     if int(counts.sum()) != total:
         raise InputError(
-            f"{path}: the runs hold {int(counts.sum()):,} voxels, dim promises {total:,}"
+            f"{path}: its runs hold {int(counts.sum()):,} voxels, expected {total:,} as dim says"
         )
-    # The file runs fastest along y, then z, then x.
+    # In the file y changes fastest, then z, then x.
     grid = np.repeat(values.astype(bool), counts).reshape(depth, height, width).transpose(0, 2, 1)
     return grid, scale
 
@@ -147,9 +154,8 @@ def _read_npy_grid(path: Path) -> NDArray[Any]:
             f"{path}: holds {grid.dtype} {list(grid.shape)}, expected a grid of numbers [X, Y, Z]"
         )
     if not 1 <= grid.size <= MAX_VOXELS:
-        raise InputError(
-            f"{path}: the grid is {' x '.join(map(str, grid.shape))}, expected 1 to {MAX_VOXELS:,} voxels"
-        )
+        sides = " x ".join(map(str, grid.shape))
+        raise InputError(f"{path}: the grid is {sides}, expected 1 to {MAX_VOXELS:,} voxels")
     if not np.isfinite(grid).all():
         raise InputError(f"{path}: a voxel is NaN or infinite, expected occupancy from 0 to 1")
     return grid
@@ -163,7 +169,6 @@ def _numbers(path: Path, fields: dict[bytes, list[bytes]], key: bytes, count: in
             raise ValueError
     except (KeyError, ValueError):
         what = shown(b" ".join(fields[key]).decode("latin-1")) if key in fields else "missing"
-        raise InputError(
-            f"{path}: {key.decode()} is {what}, expected {count} finite number{'s' * (count > 1)}"
-        ) from None
+        numbers = "finite numbers" if count > 1 else "finite number"
+        raise InputError(f"{path}: {key.decode()} is {what}, expected {count} {numbers}") from None
     return values

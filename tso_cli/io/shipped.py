@@ -1,4 +1,4 @@
-"""Where the examples and the network that come with the program lie."""
+"""Where to find the examples and the network that come with the program."""
 
 from __future__ import annotations
 
@@ -7,25 +7,27 @@ from pathlib import Path
 from ..errors import InputError
 
 CATEGORIES = ("chair", "car", "airplane")
-DEFAULT = "default"
-"""What `--checkpoint` calls the network that comes with the program."""
+DEFAULT = "default"  # name of the network that comes with the program, as in `--checkpoint default`
 PACKAGE = Path(__file__).resolve().parent.parent
 WEIGHTS = PACKAGE / "weights"
 
 
 def examples_folder() -> Path:
-    """The folder ``examples`` inside the installed package, else beside it in a clone."""
+    """The folder ``examples``: inside the installed package, or next to the package in a clone."""
     for folder in (PACKAGE / "examples", PACKAGE.parent / "examples"):
         if (folder / "meshes").is_dir():
             return folder
     raise InputError(
-        f"{PACKAGE.parent / 'examples'}: the shipped examples are not here, expected a clone of the repository "
-        "(or give a folder of your own)"
+        f"{PACKAGE.parent / 'examples'}: the shipped examples are not here, "
+        "expected a clone of the repository (or give a folder of your own)"
     )
 
 
 def example_meshes() -> list[Path]:
-    """The shipped meshes to train on, sorted by category and name; no target of an example is among them."""
+    """The shipped meshes to train on, sorted by category and name.
+
+    The shapes that the examples should be refined to are not among them.
+    """
     folder = examples_folder() / "meshes"
     meshes = [path for category in CATEGORIES for path in sorted((folder / category).glob("*.ply"))]
     if not meshes:
@@ -34,16 +36,19 @@ def example_meshes() -> list[Path]:
 
 
 def default_checkpoint() -> Path:
-    """The network that comes with the program; InputError where the installation lacks it."""
+    """The network that comes with the program; InputError if the installation lacks it."""
     path = WEIGHTS / "default.safetensors"
     if not path.is_file():
         raise InputError(
-            f"{path}: the shipped network is not in this installation, expected it there (or give --checkpoint FILE; "
-            "tso train writes one)"
+            f"{path}: the shipped network is not in this installation, expected it there "
+            "(or give `checkpoint` FILE; tso train writes one)"
         )
     return path
 
 
 def named_checkpoint(name: Path) -> Path:
-    """The shipped network for the name `default`, else the file ``name`` (a file of that name needs its whole path)."""
+    """The shipped network if ``name`` is DEFAULT, otherwise the file ``name``.
+
+    A file that is called DEFAULT can be given by its absolute path.
+    """
     return default_checkpoint() if str(name) == DEFAULT else name

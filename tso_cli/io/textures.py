@@ -1,6 +1,7 @@
 """Pictures on meshes: the colours of points of the surface, as stored (sRGB).
 
-Nothing is fetched, and no file is read outside the mesh's own folder, or the one that the user named.
+Nothing is downloaded. Only files in the folder of the mesh or below are read, or in the folder that
+the user named or below.
 """
 
 from __future__ import annotations
@@ -14,40 +15,44 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Indices, Pixels
 from .images import FORMATS, as_colours
 from .reading import shown
 
-Array = NDArray[np.float64]
 _FORMATS = (*FORMATS, "TGA")
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A picture on faces of a mesh; beyond texture coordinates 0 to 1 it repeats."""
+    """A picture on faces of a mesh; outside texture coordinates 0 to 1 it repeats."""
 
-    pixels: NDArray[np.uint8]  # [H, W, 3], the first row on top
-    faces: NDArray[np.int64]  # [K], which faces of the mesh it covers
-    corners: Array  # [K, 3, 2], texture coordinates of their corners: u to the right, v up from the lower left
+    pixels: Pixels  # [H, W, 3], the first row on top
+    faces: Indices  # [K], the faces of the mesh that the picture covers
+    corners: Array  # [K, 3, 2], texture coordinates of their corners: u right, v up from lower left
 
-    def at(self, rows: NDArray[np.int64], barycentric: Array) -> NDArray[np.uint8]:
-        """Colours [N, 3] at points in the faces ``faces[rows]``; ``barycentric`` [N, 2] are those of corners 2 and 3."""
+    def at(self, rows: Indices, barycentric: Array) -> Pixels:
+        """Colours [N, 3] of points in the faces ``faces[rows]``.
+
+        ``barycentric`` [N, 2] are the points' coordinates of the second and the third corner.
+        """
         first, second, third = self.corners[rows].transpose(1, 0, 2)
         place = first + barycentric[:, :1] * (second - first) + barycentric[:, 1:] * (third - first)
         sides = np.array(self.pixels.shape[1::-1])
-        # A remainder may be rounded up to 1.
+        # np.mod may round up to 1.
         column, from_below = np.minimum((np.mod(place, 1.0) * sides).astype(np.int64), sides - 1).T
         return self.pixels[sides[1] - 1 - from_below, column]
 
 
 class Pictures:
-    """The pictures of the parts of a scene in the file ``path`` with the bytes ``content``; without ``decode`` only taken away.
+    """The pictures on the parts of a mesh.
 
-    They lie in the folder ``within`` (None: that of ``path``) or below.
-    resolver : what trimesh is to read the files with that ``path`` names.
-    missing : what there is to say of pictures that cannot be used, each once.
+    path, content : the file of the mesh and its bytes.
+    decode : whether pictures are wanted; if not, they are only removed from the parts.
+    within : the folder that the pictures must be in, or below (None: the folder of ``path``).
+    resolver : what trimesh shall use to read the files that ``path`` names.
+    missing : a line about every picture that cannot be used.
     """
 
     def __init__(
@@ -56,26 +61,29 @@ class Pictures:
         self.missing: list[str] = []
         self.resolver: Any = _Folder(path, within, self._miss)
         self._decode = decode
-        self._known: dict[int, tuple[Any, NDArray[np.uint8] | None]] = {}
+        self._known: dict[int, tuple[Any, Pixels | None]] = {}
         for name in _unreadable(content) if decode and path.suffix.lower() == ".glb" else ():
             self._miss(name, "cannot be decoded")
 
-    def take(self, geometry: Any) -> NDArray[np.uint8] | None:
-        """The picture [H, W, 3] on a part, None where it has none that can be used; the part keeps the plain colour alone."""
-        # A picture only decorates: an odd material must not stop the work.
+    def take(self, geometry: Any) -> Pixels | None:
+        """Take the picture [H, W, 3] off a part; None if there is none that can be used.
+
+        The part keeps only its plain colour.
+        """
+        # Pictures only decorate: an unusual material must not stop the work.
         try:
             return self._taken(geometry) if geometry.visual.kind == "texture" else None
         except Exception:
             return None
 
-    def _taken(self, geometry: Any) -> NDArray[np.uint8] | None:
+    def _taken(self, geometry: Any) -> Pixels | None:
         from trimesh.visual.material import SimpleMaterial
 
         visual = geometry.visual
         material = visual.material
         factor = getattr(material, "baseColorFactor", None)
         image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-        # Else trimesh would copy and decode all pictures of the material for each place where the part stands.
+        # trimesh would copy and decode all pictures of the material for each place of the part.
         visual.material = SimpleMaterial(diffuse=material.main_color)
         if image is None or not self._decode:
             return None
@@ -84,16 +92,16 @@ class Pictures:
             self._miss(name, "has no coordinates on the mesh")
             return None
         if id(image) not in self._known:
-            # The image is kept, so that no other takes its id.
+            # The image is kept, so that no other image gets its id.
             self._known[id(image)] = image, self._decoded(image, name)
         pixels = self._known[id(image)][1]
         if pixels is None or factor is None or (factor[:3] == 255).all():
             return pixels
         return np.rint(pixels * (factor[:3] / 255.0)).astype(np.uint8)
 
-    def _decoded(self, image: Any, name: str) -> NDArray[np.uint8] | None:
+    def _decoded(self, image: Any, name: str) -> Pixels | None:
         if image.format is None:
-            return None  # trimesh's own, where an .obj has coordinates and no material
+            return None  # trimesh made it for an .obj that has coordinates and no material
         try:
             if image.format not in _FORMATS:
                 raise InputError(f"{name}: is {image.format}, expected {', '.join(_FORMATS)}")
@@ -110,7 +118,10 @@ class Pictures:
 
 
 class _Folder:
-    """The files below ``within`` that a mesh may name; ``miss`` is called for pictures that are missing or damaged."""
+    """The files below ``within`` that the mesh ``path`` may name.
+
+    ``miss`` is called for pictures that are missing or damaged.
+    """
 
     def __init__(self, path: Path, within: Path | None, miss: Callable[..., None]) -> None:
         self._folder, self._miss = path.absolute().parent.resolve(), miss
@@ -120,9 +131,8 @@ class _Folder:
         picture = not name.strip().lower().endswith((".mtl", ".bin"))
         slashed = name.strip().replace("\\", "/")
         if slashed.startswith("-"):
-            slashed = slashed.split()[
-                -1
-            ]  # behind the options of map_Kd, such as a scale, which are ignored
+            # Options of map_Kd, such as a scale, come before the name. They are ignored.
+            slashed = slashed.split()[-1]
         for candidate in (slashed, slashed.rpartition("/")[2]):
             place = (self._folder / candidate).resolve()
             if place.is_relative_to(self._within) and place.is_file():
@@ -150,7 +160,7 @@ def _opens(content: bytes) -> bool:
 
 
 def _unreadable(content: bytes) -> Iterator[str]:
-    """Names of the base colours inside a .glb file that are no picture; trimesh passes over them in silence."""
+    """Names of the base colours in a .glb file that are not pictures; trimesh ignores them."""
     try:
         length = int.from_bytes(content[12:16], "little")
         header, buffer = json.loads(content[20 : 20 + length]), content[28 + length :]
@@ -170,6 +180,6 @@ def _unreadable(content: bytes) -> Iterator[str]:
                 continue  # a file, which the resolver sees
             if not _opens(data):
                 yield image.get("name") or f"number {number}"
-    # trimesh says what is wrong with the file.
+    # trimesh reports what is wrong with the file.
     except Exception:
         return

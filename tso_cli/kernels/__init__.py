@@ -1,1 +1,4 @@
-"""Sums of Gaussians over a pixel grid, nearest neighbours and losses: plain torch, numba on the CPU, Triton on GPUs."""
+"""Sums of Gaussians over a pixel grid, nearest neighbours, and losses.
+
+Three forms: plain torch, numba on the CPU, Triton on GPUs.
+"""

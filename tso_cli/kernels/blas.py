@@ -1,4 +1,7 @@
-"""BLAS held to one thread: its threads gain nothing on matrices of this size, and wait for one another on a busy machine."""
+"""BLAS held to one thread.
+
+Several threads gain nothing on matrices of this size, and wait for one another on a busy machine.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ _inside: list[Any] = []
 def one_thread() -> Iterator[None]:
     """Inside, for the whole process, matrix products and inverses run on one thread.
 
-    Of Python threads that are inside at once the first sets the limit, and the last lifts it.
+    Where several Python threads are inside at once, the first sets the limit and the last lifts it.
     """
     with _lock:
         _inside.append(_inside[0] if _inside else _controller().limit(limits=1, user_api="blas"))

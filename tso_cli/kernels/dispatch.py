@@ -1,8 +1,12 @@
 """Whether a refinement runs in numpy or in loops that numba compiles.
 
-Importing numba and loading machine code takes half a second, compiling ten: the loops run where the work, which a refinement
-states by `planned`, repays the first, and the machine code is on disk or the work repays the second as well. The choice depends
-on the work and the disk alone, so that a run can be repeated.
+Loading numba and the machine code takes half a second; compiling takes ten seconds. A refinement
+states its work by `planned`. The compiled loops run
+
+1. if the work saves more time than loading takes, and the machine code is on disk, or
+2. if the work saves more time than loading and compiling take together.
+
+The choice depends on the work and the disk alone, so that a run can be repeated.
 """
 
 from __future__ import annotations
@@ -15,27 +19,35 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-# Seconds that numpy takes longer for a step of a cloud by one view, and for each point of it; seconds that loading and
-# compiling the loops take.
-PER_VIEW, PER_POINT = 0.3e-3, 1.5e-6
-LOADING, COMPILING = 0.5, 10.0
+# Rough times on one thread; their order of magnitude decides.
+# Seconds by which numpy is slower when a cloud is compared with a view once, and for each point.
+SAVED_PER_VIEW, SAVED_PER_POINT = 0.3e-3, 1.5e-6
+SECONDS_TO_LOAD, SECONDS_TO_COMPILE = 0.5, 10.0
+# The modules that define the loops of a refinement, or import the modules that do.
+MODULES_OF_LOOPS = ("mask_chamfer_numba", "points_numba", "silhouette_numba")
 
 _plan: ContextVar[Callable[[], bool] | None] = ContextVar("plan", default=None)
 
 
 @contextmanager
 def planned(views: int, points: int, seconds: float = math.inf) -> Iterator[None]:
-    """Inside, compiled loops run if they pay for all of this work. The outermost of nested plans counts.
+    """Inside, compiled loops run if they save time over the whole of this work.
 
-    ``views`` is how often a cloud is compared with a view in all (clouds x views x steps), ``points`` the points in all these.
-    ``seconds`` is how long all may take: loading the loops must leave half of them.
-    Warns where the work is left to numpy because no machine code is on disk.
+    The outermost of nested plans counts.
+
+    Parameters
+    ----------
+    views : clouds x views x steps, the number of times that a cloud is compared with a view.
+    points : the sum of the clouds' points over all these comparisons.
+    seconds : the time limit of the work; loading the loops must leave half of it.
+
+    Warns if numpy does the work only because no machine code is on disk.
     """
     if _plan.get() is not None:
         yield
         return
-    # Decided when first asked: looking on the disk takes an import.
-    saved = min(PER_VIEW * views + PER_POINT * points, 0.5 * seconds)
+    saved = min(SAVED_PER_VIEW * views + SAVED_PER_POINT * points, 0.5 * seconds)
+    # Decided at the first question, because a look at the disk imports numba.
     token = _plan.set(functools.cache(functools.partial(_pays, saved)))
     try:
         yield
@@ -50,55 +62,34 @@ def use_compiled() -> bool:
 
 
 def _pays(seconds: float) -> bool:
-    """Whether the ``seconds`` that compiled loops save exceed those of loading them, and of compiling if none are on disk."""
-    if seconds < LOADING or not importable("numba"):
+    """Whether compiled loops, which save ``seconds``, save more than it takes to get them."""
+    if seconds < SECONDS_TO_LOAD or not importable("numba"):
         return False
-    if seconds >= LOADING + COMPILING or _on_disk():
+    if seconds >= SECONDS_TO_LOAD + SECONDS_TO_COMPILE or _on_disk():
         return True
     warnings.warn(
-        "no compiled loops on disk, numpy does this work; `tso compile` makes them once",
+        "found no compiled loops on disk, so numpy does this work; `tso compile` makes them once",
         stacklevel=2,
     )
     return False
 
 
 def _on_disk() -> bool:
-    from .jit import on_disk
-    from .losses_numba import _cross_entropy, _pixels_to_points
-    from .mask_chamfer_numba import _mask_chamfer
-    from .nearest_numba import _compare_all
-    from .points_numba import (
-        chamfer,
-        farthest_points,
-        gather,
-        nearest_few,
-        nearest_in_grid,
-        sort_into_grid,
-        spread,
-    )
-    from .splat_numba import _add, _gather
+    """Whether the machine code of all loops of a refinement is on disk."""
+    for module in MODULES_OF_LOOPS:
+        importlib.import_module(f".{module}", __package__)
+    from .jit import loops_on_disk
 
-    of_points = (
-        chamfer,
-        farthest_points,
-        gather,
-        nearest_few,
-        nearest_in_grid,
-        sort_into_grid,
-        spread,
-    )
-    return on_disk(
-        _mask_chamfer, _compare_all, *of_points, _add, _gather, _cross_entropy, _pixels_to_points
-    )
+    return loops_on_disk()
 
 
 @functools.cache
 def importable(name: str) -> bool:
-    """Whether the module can be imported; warns with the reason where it cannot."""
+    """Whether the module can be imported; if it cannot, warns and says why."""
     try:
         importlib.import_module(name)
     except ImportError as error:
-        # a numpy newer than numba knows, for one
+        # One known reason is a numpy that is newer than numba allows.
         reason = (str(error).splitlines() or ["no reason given"])[0]
         warnings.warn(
             f"compiled loops are not used, which is slower: {name} cannot be imported ({reason})",

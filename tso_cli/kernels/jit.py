@@ -1,6 +1,6 @@
 """Compiling with numba, and sharing compiled work between threads.
 
-Importing numba takes a fifth of a second: import this module only where compiled code runs.
+Importing numba takes a fifth of a second. Import this module only where compiled code runs.
 """
 
 from __future__ import annotations
@@ -20,13 +20,22 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numpy.typing import NDArray
 
-# Fewest basic steps of a thread for which waking it pays.
-WORTH_A_THREAD = 1 << 18
-# Ranges per thread, so that threads with little to do take over from others.
+# What the loops take: float32 or float64, and bool.
+Array = NDArray[np.floating[Any]]
+Marks = NDArray[np.bool_]
+
+# Least number of basic steps for which waking one more thread saves time.
+STEPS_WORTH_A_THREAD = 1 << 18
+# Work is cut into this many ranges per thread, so that threads that finish early take over ranges.
 RANGES_PER_THREAD = 4
+# A temporary of numba's cache lives for milliseconds. One of this age, s, was left by a killed
+# process.
+LEFTOVER_AGE = 60.0
 
 SETTINGS: dict[str, Any] = {
     "nogil": True,
@@ -36,53 +45,50 @@ SETTINGS: dict[str, Any] = {
 INSIDE: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
-def forget_stale(folder: Path) -> None:
-    """Remove numba's cache of the sources in ``folder`` that is older than any of them.
-
-    numba checks the file of a function alone, not those of the functions that are compiled into it.
-    """
-    with contextlib.suppress(OSError, ValueError):
-        changed = max(source.stat().st_mtime for source in folder.glob("*.py"))
-        for index in (folder / "__pycache__").glob("*.nbi"):
-            if index.stat().st_mtime < changed:
-                index.unlink(missing_ok=True)
+_loops: list[Any] = []  # the loops of a refinement; `compiled` and `exactly` add themselves
 
 
-forget_stale(Path(__file__).parent)
+def _sources_changed() -> float:
+    """Time of the last change to a source of this package."""
+    return max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
 
 
 @functools.cache
-def sweep(folder: str) -> None:
-    """Once for each process, remove the temporaries that killed processes left in numba's ``folder``.
+def tidy(folder: str) -> None:
+    """Remove outdated files from numba's cache ``folder``, once for each process:
 
-    A temporary lives for milliseconds, so one older than a minute is a leftover. A process that was stopped for that long finds
-    its own gone; it warns and goes on.
+    1. indices of machine code that are older than a source of this package. numba compares the time
+       of a function's own file only, and not of the functions that are compiled into it.
+    2. temporaries that killed processes left. A living process that was stopped for a minute finds
+       that its temporary is gone; it warns and goes on.
     """
+    with contextlib.suppress(OSError, ValueError):
+        changed = _sources_changed()
+        for index in Path(folder).glob("*.nbi"):
+            if index.stat().st_mtime < changed:
+                index.unlink(missing_ok=True)
     with contextlib.suppress(OSError):
         for path in Path(folder).glob("*.nb[ci].tmp.*"):
-            if time.time() - path.stat().st_mtime > 60.0:
+            if time.time() - path.stat().st_mtime > LEFTOVER_AGE:
                 path.unlink(missing_ok=True)
 
 
-def on_disk(*functions: Any) -> bool:
-    """Whether the machine code of all these `compiled` functions is on disk, newer than the sources."""
+def loops_on_disk() -> bool:
+    """Whether the machine code of all loops defined so far is on disk, newer than the sources."""
     try:
-        changed = max(source.stat().st_mtime for source in Path(__file__).parent.glob("*.py"))
-        caches = (
-            Path(function.stats.cache_path).glob(f"*.{function.__name__}-*.nbi")
-            for function in functions
-        )
+        changed = _sources_changed()
+        caches = (Path(loop.stats.cache_path).glob(f"*.{loop.__name__}-*.nbi") for loop in _loops)
         return all(any(index.stat().st_mtime >= changed for index in cache) for cache in caches)
     except (AttributeError, OSError, TypeError, ValueError):
-        # no folder can be written, or numba was told to compile nothing
+        # No folder can be written, or numba is switched off.
         return False
 
 
-_warned: list[str] = []  # folders that were warned of; once is enough
+_warned: list[str] = []  # the folder that was warned of; one warning is enough
 
 
 class _CheckedFile(IndexDataCacheFile):
-    """Machine code on disk, behind it its digest: damaged code would run, or end the process."""
+    """Machine code on disk, followed by its digest. Damaged code would run, or end the process."""
 
     def _dump(self, obj: Any) -> bytes:
         data: bytes = super()._dump(obj)
@@ -96,12 +102,15 @@ class _CheckedFile(IndexDataCacheFile):
 
 
 class _Cache(FunctionCache):
-    """numba's, but what cannot be read is compiled anew, and what cannot be written stays in memory, with a warning."""
+    """numba's cache, except that errors of the disk only cause a warning.
+
+    Code that cannot be read is compiled again; code that cannot be written stays in memory.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
         locator = self._impl.locator
-        sweep(self.cache_path)
+        tidy(self.cache_path)
         self._cache_file = _CheckedFile(
             self.cache_path, self._impl.filename_base, locator.get_source_stamp()
         )
@@ -110,19 +119,25 @@ class _Cache(FunctionCache):
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
         try:
             yield
-        # Unpickling a damaged index fails in any way there is.
+        # Unpickling a damaged index can raise any exception.
         except Exception as error:
             if not _warned:
                 _warned.append(self.cache_path)
-                text = f"{self.cache_path}: compiled loops cannot be read or kept there ({error!r}), they are compiled anew"
-                warnings.warn(text, stacklevel=2)
+                warnings.warn(
+                    f"{self.cache_path}: compiled loops cannot be read or kept there ({error!r}), "
+                    "so they are compiled anew; check that the folder can be written",
+                    stacklevel=2,
+                )
             with contextlib.suppress(OSError):
                 self.flush()
 
 
 @contextlib.contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Inside, signals wait: raised in a callback of LLVM, KeyboardInterrupt would be printed and forgotten."""
+    """Inside, signals wait.
+
+    A KeyboardInterrupt raised in a callback of LLVM would be printed and ignored.
+    """
     waiting: list[int] = []
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -138,38 +153,51 @@ def _uninterrupted() -> Iterator[None]:
             signal.raise_signal(waiting[0])
 
 
-def compiled(function: Callable[..., Any], **changes: Any) -> Any:
-    """``function`` compiled at its first call; the machine code is kept on disk where a folder can be written.
+def kept_on_disk(function: Callable[..., Any], **changes: Any) -> Any:
+    """``function``, compiled at its first call and kept on disk if a folder can be written.
 
-    Sums are reordered within a statement, and multiply-adds rounded once: the same way at every call.
+    Sums are reordered within a statement, and a product and a sum are rounded once. Every call
+    rounds alike.
     """
     dispatcher = njit(**SETTINGS | changes)(function)
     dispatcher.compile = _uninterrupted()(dispatcher.compile)
-    # RuntimeError: neither the package's folder nor the user's cache folder can be written; compiled in every process.
+    # RuntimeError: neither the package's folder nor the user's cache folder can be written. The
+    # function is then compiled in every process.
     with contextlib.suppress(RuntimeError):
         dispatcher._cache = _Cache(function)
     return dispatcher
 
 
+def compiled(function: Callable[..., Any], **changes: Any) -> Any:
+    """As `kept_on_disk`, for a loop that a refinement uses: `loops_on_disk` asks for it."""
+    loop = kept_on_disk(function, **changes)
+    _loops.append(loop)
+    return loop
+
+
 def exactly(function: Callable[..., Any]) -> Any:
-    """As `compiled`, rounding as numpy does, where ties decide and must fall the same way in both."""
+    """As `compiled`, but rounds like numpy: where ties decide, both forms must decide alike."""
     return compiled(function, fastmath=False)
 
 
 def part(function: Callable[..., Any]) -> Any:
-    """As `compiled`, for functions that only compiled functions call: without wrappers for Python, a tenth less to compile."""
+    """``function`` compiled for calls from compiled functions alone.
+
+    Without wrappers for Python it compiles a tenth faster.
+    """
     return njit(**SETTINGS, **INSIDE)(function)
 
 
 def share(
     count: int, steps: int, threads: int, function: Callable[..., None], *arguments: Any
 ) -> None:
-    """Call the compiled ``function(first, last, *arguments)`` on ranges that cover 0 to ``count``, on at most ``threads``.
+    """Call ``function(first, last, *arguments)`` on ranges that cover 0 to ``count``.
 
-    It must write the same values however 0 to ``count`` is cut into ranges. ``steps`` is the work in all, roughly, in basic
-    steps.
+    The compiled function must write the same values however 0 to ``count`` is cut into ranges.
+    ``steps`` is a rough number of basic steps of the whole work; the work runs on at most
+    ``threads`` threads, and on fewer if it is small.
     """
-    threads = min(threads, count, max(1, steps // WORTH_A_THREAD))
+    threads = min(threads, count, max(1, steps // STEPS_WORTH_A_THREAD))
     if threads <= 1:
         function(0, count, *arguments)
         return
@@ -184,7 +212,7 @@ def share(
     try:
         work()
     finally:
-        # After Ctrl-C no further range begins, and no thread still writes when the caller goes on.
+        # After Ctrl-C no further range begins, and no thread writes once the caller goes on.
         following = itertools.repeat(ranges)
         wait(futures)
     for future in futures:
@@ -197,5 +225,5 @@ def _threads() -> ThreadPoolExecutor:
 
 
 if hasattr(os, "register_at_fork"):
-    # A forked process has none of its parent's threads.
+    # A forked process has none of the threads of its parent.
     os.register_at_fork(after_in_child=_threads.cache_clear)

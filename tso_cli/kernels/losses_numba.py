@@ -1,17 +1,16 @@
-"""Cross-entropy and distances between pixels and points as compiled loops on the CPU: value and gradient in one pass.
+"""Cross-entropy and distances between pixels and points as compiled loops on the CPU.
 
-Their references are `tso_cli.losses.silhouette` in numpy, `tso_cli.silhouette.bce` and `affinity` in torch.
+Value and gradient come from one pass. The reference forms are `tso_cli.losses.silhouette` in numpy,
+and `tso_cli.silhouette.bce` and `affinity` in torch.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .jit import compiled, part, share
+from .jit import Array, Marks, compiled, kept_on_disk, part, share
 from .nearest_numba import (
     cell_edge,
     nearest_in_cells,
@@ -22,19 +21,24 @@ from .nearest_numba import (
 from .simd import LOWEST, exp, log
 
 LOG_TWO = math.log(2.0)
-
-
-Array = NDArray[np.floating[Any]]
-Marks = NDArray[np.bool_]
+# Under this sum, 2 s + log(1 + e^-2s) - log 2 loses digits of float32; its series is used.
+SMALL_SUM = 0.05
 
 
 def cross_entropy(
     sums: Array, foreground: Array, background: Array, uncovered: float, threads: int = 1
 ) -> tuple[Array, Array, Marks]:
-    """Binary cross-entropy [M] of mask and silhouette without uncovered mask pixels; its derivative by the sums; these pixels.
+    """Binary cross-entropy of mask and silhouette (Eq. 4), without the uncovered mask pixels.
 
-    Uncovered are mask pixels whose sum [M, H, W] is at most ``uncovered``; ``foreground`` and ``background`` [M, H, W] are
-    the weights of the two terms of Eq. 4.
+    A mask pixel is uncovered if its sum is at most ``uncovered``.
+
+    Parameters
+    ----------
+    sums : [M, H, W]. foreground, background : [M, H, W] weights of the two terms of Eq. 4.
+
+    Returns
+    -------
+    The cross-entropy [M], its derivative [M, H, W] by ``sums``, and the uncovered pixels [M, H, W].
     """
     images, height, width = sums.shape
     gradient, waiting = sums.copy(), np.empty(sums.shape, bool)
@@ -43,16 +47,16 @@ def cross_entropy(
     share(
         images * height, 8 * sums.size, threads, _cross_entropy, *rows, uncovered, loss.reshape(-1)
     )
-    # Added one row after another: the same on any number of threads.
+    # The rows are added in order, so that the number of threads changes no bit.
     return loss.cumsum(1)[:, -1], gradient, waiting
 
 
 def pixels_to_points(
     pixels: Marks, weight: Array, points_px: Array, valid: Marks, factor: float, threads: int = 1
 ) -> tuple[Array, Array]:
-    """Sum [M] over ``pixels`` [M, H, W] of weight * factor * squared distance to the nearest projected point [M, N, 2].
+    """Sum [M] over ``pixels`` [M, H, W] of weight * factor * squared distance to the nearest point.
 
-    And its derivative [M, N, 2].
+    Returns the sum, and its derivative [M, N, 2] by the projected points.
     """
     total, gradient = np.empty(len(points_px)), np.zeros_like(points_px)
     edge = cell_edge(pixels.shape[1], pixels.shape[2], points_px.shape[1])
@@ -77,7 +81,10 @@ def pixels_to_points(
 def points_to_mask(
     points_px: Array, valid: Marks, inside: Marks, threads: int = 1
 ) -> tuple[Array, Array]:
-    """Sum [M] over points on background of the squared distance to the nearest pixel ``inside`` [M, H, W]; derivative."""
+    """Sum [M] over points outside the mask of the squared distance to the nearest mask pixel.
+
+    ``inside`` [M, H, W] is the mask. Returns the sum, and its derivative [M, N, 2] by the points.
+    """
     total, gradient = np.empty(len(points_px)), np.zeros_like(points_px)
     steps = 8 * inside.size + 32 * valid.size
     share(len(inside), steps, threads, _points_to_mask, points_px, valid, inside, total, gradient)
@@ -86,17 +93,20 @@ def points_to_mask(
 
 @part
 def _entropy_of_row(sums, foreground, background, uncovered, waiting):  # type: ignore[no-untyped-def]
-    """Loss of a row of pixels; replaces ``sums`` by the derivative. Without branches, so that it becomes SIMD code."""
+    """Loss of a row of pixels; replaces ``sums`` by the derivative.
+
+    It has no branches, so that the compiler makes SIMD code of it.
+    """
     kind = sums.dtype.type
     zero, half, one, two, four = kind(0.0), kind(0.5), kind(1.0), kind(2.0), kind(4.0)
-    least, limit, small, log_two = kind(LOWEST), kind(uncovered), kind(0.05), kind(LOG_TWO)
+    least, limit, small, log_two = kind(LOWEST), kind(uncovered), kind(SMALL_SUM), kind(LOG_TWO)
     loss = zero
     for j in range(len(sums)):
         s, cover, free = sums[j], foreground[j], background[j]
         covered = s > limit
         twice = two * (s if covered else one)
         power = exp(max(-twice, least))
-        # 1 - power, by its series where the difference would lose digits
+        # 1 - power; by its series where the difference would lose digits
         series = one - twice * kind(1.0 / 8.0) * (one - twice * kind(1.0 / 9.0))
         series = one - twice * kind(1.0 / 6.0) * (one - twice * kind(1.0 / 7.0) * series)
         series = one - twice * kind(1.0 / 4.0) * (one - twice * kind(1.0 / 5.0) * series)
@@ -105,12 +115,12 @@ def _entropy_of_row(sums, foreground, background, uncovered, waiting):  # type: 
         more = log(one + power)
         # -log tanh s, and -log(1 - tanh s)
         missed = more - log(complement)
-        stray = (
+        extra = (
             twice + more - log_two
             if s > small
             else s * (one + s * (half - s * s * kind(1.0 / 12.0)))
         )
-        loss += (cover * missed if covered else zero) + free * stray
+        loss += (cover * missed if covered else zero) + free * extra
         toward = four * power / (complement * (one + power)) if covered else zero
         sums[j] = free * two / (one + power) - cover * toward if covered else free
         waiting[j] = cover > zero and s <= limit
@@ -150,7 +160,7 @@ def _pixels_to_points(first, last, pixels, weight, points, valid, factor, edge, 
         total[image] = loss
 
 
-@compiled
+@kept_on_disk
 def _points_to_mask(first, last, points, valid, inside, total, gradient):  # type: ignore[no-untyped-def]
     height, width = inside.shape[1:]
     nearest_row = np.empty((height, width), np.int32)
@@ -159,7 +169,7 @@ def _points_to_mask(first, last, points, valid, inside, total, gradient):  # typ
         loss = 0.0
         for n in range(points.shape[1]):
             x, y = np.rint(points[image, n, 0]), np.rint(points[image, n, 1])
-            # What lies outside the image is unknown, not background.
+            # A pixel outside the image is unknown, not background.
             if not (valid[image, n] and x >= 0 and x < width and y >= 0 and y < height):
                 continue
             i, j = int(y), int(x)

@@ -1,4 +1,7 @@
-"""The mask Chamfer loss of a cloud by one view as a compiled loop; its reference is in `tso_cli.losses.mask_chamfer`."""
+"""The mask Chamfer loss of a cloud by one view as a compiled loop.
+
+Its reference is `tso_cli.losses.mask_chamfer`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,11 @@ from .nearest_numba import cell_edge, nearest_in_cells, nearest_marked, sort_int
 
 
 class CompiledView(NamedTuple):
-    """A view as the loop takes it; names as in `MaskTarget` and `Camera`, ``near`` minus infinity for orthographic cameras."""
+    """A view as the loop takes it; fields are named as in `MaskTarget` and `Camera`.
+
+    ``near`` is the least depth of a visible point, minus infinity for an orthographic camera.
+    ``within`` is the distance, px, at which a point covers a pixel.
+    """
 
     K: NDArray[np.float64]
     R: NDArray[np.float64]
@@ -37,8 +44,11 @@ def mask_chamfer(
     costs: NDArray[np.float64],
     gradient: NDArray[np.float64],
 ) -> bool:
-    """Add ``weight`` times what each of ``points`` [N, 3] adds to the loss to ``costs`` [N], as many times the loss's gradient
-    to ``gradient`` [N, 3]; returns whether the view observes any point."""
+    """Add ``weight`` times the loss of ``points`` [N, 3] to ``costs``, and its gradient likewise.
+
+    ``costs`` [N] takes the part of each point, ``gradient`` [N, 3] the gradient by the points.
+    Returns whether the view observes any point.
+    """
     if resolvability is None:
         resolvability = np.ones(len(points))
     height, width = view.inside.shape
@@ -51,8 +61,8 @@ def mask_chamfer(
 
 @compiled
 def _mask_chamfer(  # type: ignore[no-untyped-def]
-    points, K, R, t, near, inside, outside, nearest_row, bounds, truncated, within, scale, reference,
-    robust_scale, resolvability, edge, weight, costs, gradient,
+    points, K, R, t, near, inside, outside, nearest_row, bounds, truncated, within, scale,
+    reference, robust_scale, resolvability, edge, weight, costs, gradient,
 ):  # fmt: skip
     count, (height, width) = len(points), inside.shape
     left, top, right, bottom = bounds[0], bounds[1], bounds[2], bounds[3]
@@ -79,14 +89,14 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
     if not any_observed:
         return False
     area, robust = scale * scale, robust_scale * robust_scale
-    # Most pixels have a point so near that trying the few pixels around each point finds it.
+    # Each point tries the few pixels around it. Most pixels find their nearest point in this way.
     reach = max(1, int(edge / 2.0))
     margin = 2 * reach + 1
     least = np.full((height + 2 * margin, width + 2 * margin), (reach + 0.5) ** 2)
     owner = np.full(least.shape, -1, np.int64)
     for n in range(count):
         x, y = pixels[n, 0], pixels[n, 1]
-        # Far outside, the numbers would not fit.
+        # Points far outside the image are left out: their numbers would not fit an integer.
         if (
             valid[n]
             and x > -reach - 1
@@ -123,13 +133,11 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
                 by_pixels[n, 1] += 2.0 * area * area * inlier * inlier * by_y
     for n in range(count):
         x, y, share = pixels[n, 0], pixels[n, 1], resolvability[n] * reference / count
-        # What lies outside the image is unknown, not background.
+        # A pixel outside the image is unknown, not background.
         if observed[n] and share > 0.0 and x >= left and x <= right and y >= top and y <= bottom:
-            # Beside the mask's part of the image it is background like that part's rim.
-            i, j = (
-                int(np.rint(min(max(y, 0.0), height - 1.0))),
-                int(np.rint(min(max(x, 0.0), width - 1.0))),
-            )
+            # The image beyond the mask's part of it is as the nearest pixel of this part.
+            i = int(np.rint(min(max(y, 0.0), height - 1.0)))
+            j = int(np.rint(min(max(x, 0.0), width - 1.0)))
             if outside[i, j]:
                 row, column = nearest_marked(i, j, nearest_row)
                 by_x, by_y = x - column, y - row

@@ -1,4 +1,7 @@
-"""Exact nearest neighbours in batches, by all pairs: plain torch, compiled loops on the CPU, Triton on a GPU."""
+"""Exact nearest neighbours in batches, by all pairs.
+
+Three forms: plain torch, compiled loops on the CPU, Triton on a GPU.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from torch import Tensor
 
 from .tensors import called, triton_runs, use_numba
 
-# Pairs compared at once in plain torch; bounds memory at about 400 MB.
+# Pairs that plain torch compares at once; it bounds the memory at about 400 MB.
 PAIRS_PER_CHUNK = 1 << 24
 
 
@@ -16,12 +19,16 @@ def nearest_in_rows(
 ) -> Tensor:
     """Nearest neighbours in B clouds at once by all pairs, on any device.
 
-    Of ``data`` [B, N, D], D = 2 or 3, the ``valid`` [B, N] points exist; of ``queries`` [B, Q, D] only those that are
-    ``active`` [B, Q] are searched for; None for all.
+    Parameters
+    ----------
+    queries : [B, Q, D], D = 2 or 3. data : [B, N, D].
+    valid : [B, N] which points of ``data`` exist; None for all.
+    active : [B, Q] which queries are searched for; None for all.
 
     Returns
     -------
-    [B, Q] int64 index into the row of ``data``; -1 for other queries, and where no point is at a finite distance.
+    [B, Q] int64 index into the row of ``data``. It is -1 for a query that is not active, and where
+    no point is at a finite distance.
     """
     queries, data = queries.detach(), data.detach()
     if triton_runs(queries):
@@ -34,7 +41,7 @@ def nearest_in_rows(
         places.split(max(1, PAIRS_PER_CHUNK // max(1, data.shape[1]))) if data.shape[1] else ()
     ):
         row, place = part.unbind(1)
-        # Coordinates are subtracted: cdist's product of matrices would lose digits.
+        # Coordinates are subtracted; the matrix product of torch.cdist would lose digits.
         differences = [
             queries[row, place, d, None] - data[row, :, d] for d in range(queries.shape[2])
         ]
@@ -46,60 +53,56 @@ def nearest_in_rows(
 
 
 def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """Nearest neighbours between the clouds of B pairs, both ways.
+    """Nearest neighbours, both ways, between the clouds ``a`` [B, N, 3] and ``b`` [B, M, 3].
 
-    Index [B, N] into ``b`` [B, M, 3] of the point nearest to each of ``a`` [B, N, 3], and [B, M] into ``a`` of that nearest to
-    each of ``b``.
+    Returns
+    -------
+    [B, N] index into ``b`` of the point nearest to each point of ``a``.
+    [B, M] index into ``a`` of the point nearest to each point of ``b``.
     """
     if use_numba(a if a.shape[1] <= b.shape[1] else b):
         from . import nearest_numba
 
-        return called(nearest_numba.nearest_in_rows, a, b), called(
-            nearest_numba.nearest_in_rows, b, a
-        )
-    # NaN has no neighbours, but its rows must hold indices: what these lead to is NaN either way.
+        search = nearest_numba.nearest_in_rows
+        return called(search, a, b), called(search, b, a)
+    # A point with NaN has no neighbour, but needs some index; any index leads to NaN.
     return nearest_in_rows(a, b).clamp_min_(0), nearest_in_rows(b, a).clamp_min_(0)
 
 
 def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
     """Which projected point is nearest to each chosen pixel.
 
-    For ``pixels`` [M, H, W], ``points_px`` [M, N, 2] and ``valid`` [M, N] an index [M, H, W] into the image's points, -1 at
-    other pixels and in images without a valid point.
+    Returns
+    -------
+    For ``pixels`` [M, H, W], ``points_px`` [M, N, 2] and ``valid`` [M, N] an index [M, H, W] into
+    the image's points; -1 at pixels that are not chosen, and in images without a valid point.
     """
     rows, columns = (
         torch.arange(size, dtype=points_px.dtype, device=pixels.device) for size in pixels.shape[1:]
     )
-    centres = (
-        torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1)
-        .view(1, -1, 2)
-        .expand(len(pixels), -1, -1)
-    )
+    grid = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1)
+    centres = grid.view(1, -1, 2).expand(len(pixels), -1, -1)
     return nearest_in_rows(centres, points_px, valid, pixels.flatten(1)).view(pixels.shape)
 
 
 def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
-    """Row and column [M, H, W] of the pixel ``marked`` [M, H, W] nearest to each pixel, -1 in images without one.
+    """Row and column [M, H, W] of the marked pixel nearest to each pixel; -1 in images without one.
 
-    The nearest marked row in every column, then the nearest column in every row: O(W) per pixel, exact, on any device.
+    First the nearest marked row in every column is found, then the nearest column in every row:
+    O(W) per pixel, exact, on any device.
     """
-    images, height, width = marked.shape
-    row, column = (
-        torch.arange(height, device=marked.device).unsqueeze(1),
-        torch.arange(width, device=marked.device),
-    )
-    # further away than anything in the image
+    height, width = marked.shape[1:]
+    row = torch.arange(height, device=marked.device).unsqueeze(1)
+    column = torch.arange(width, device=marked.device)
+    # A distance that is longer than any in the image.
     beyond = height + width
     above = torch.where(marked, row, -beyond).cummax(1).values
     below = torch.where(marked, row, height + beyond).flip(1).cummin(1).values.flip(1)
     near = torch.where(row - above <= below - row, above, below)
-    vertical, horizontal = (
-        (near - row).square().flatten(0, 1),
-        (column.unsqueeze(1) - column).square(),
-    )
+    vertical = (near - row).square().flatten(0, 1)
+    horizontal = (column.unsqueeze(1) - column).square()
     lines = vertical.split(max(1, PAIRS_PER_CHUNK // width**2))
-    columns = torch.cat([(line.unsqueeze(1) + horizontal).argmin(2) for line in lines]).view(
-        marked.shape
-    )
+    nearest_columns = [(line.unsqueeze(1) + horizontal).argmin(2) for line in lines]
+    columns = torch.cat(nearest_columns).view(marked.shape)
     exists = marked.flatten(1).any(1).view(-1, 1, 1)
     return torch.where(exists, near.gather(2, columns), -1), torch.where(exists, columns, -1)

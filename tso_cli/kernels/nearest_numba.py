@@ -1,21 +1,25 @@
-"""Exact nearest neighbours as compiled loops on the CPU: points to pixels, pixels in a column, batches of small clouds."""
+"""Exact nearest neighbours as compiled loops on the CPU.
+
+They serve points near pixels, mask pixels near a pixel, and batches of small clouds.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .jit import compiled, part, share
+from .jit import Array, compiled, part, share
 
-Array = NDArray[np.floating[Any]]
-
-# Points per cell of the grid, on average over the image.
+# Points in a cell of the grid, on average over the image: a search then reads few cells and points.
 POINTS_PER_CELL = 1.0
-# Queries compared with a point at once: the compiler makes SIMD code of them, and they stay in the first-level cache.
-BLOCK = 256
+# Queries that are compared with a point at once. The compiler makes SIMD code of the comparison,
+# and this number of queries stays in the first-level cache.
+QUERIES_AT_ONCE = 256
+# A search radius grows, and a bound on a squared distance shrinks, by this much, so that rounding
+# loses no neighbour.
+RADIUS_MARGIN, SQUARED_MARGIN = 1.0 + 1e-9, 1.0 - 1e-12
 
 
 def cell_edge(height: int, width: int, count: int) -> float:
@@ -44,19 +48,15 @@ def _cell(x, y, edge, rows, columns):  # type: ignore[no-untyped-def]
 def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-untyped-def]
     """Sort the points [N, 2] of an image into a grid of cells.
 
-    Returns the rows and columns of the grid; ``begin``, the points of cell c being those from begin[c] to begin[c + 1]; and
-    their coordinates and numbers in that order.
+    Returns the rows and columns of the grid, ``begin``, and the coordinates and numbers of the
+    points in sorted order. The points of cell c stand from begin[c] to begin[c + 1].
     """
     count = len(points)
     rows, columns = int(math.ceil(height / edge)), int(math.ceil(width / edge))
     # While points are sorted in, the start of cell c stands at c + 1.
     begin = np.zeros(rows * columns + 2, np.int64)
-    xs, ys, order = (
-        np.empty(count, np.float64),
-        np.empty(count, np.float64),
-        np.empty(count, np.int64),
-    )
-    cells = np.empty(count, np.int64)
+    xs, ys = np.empty(count, np.float64), np.empty(count, np.float64)
+    order, cells = np.empty(count, np.int64), np.empty(count, np.int64)
     for n in range(count):
         x, y = points[n, 0], points[n, 1]
         cells[n] = -1
@@ -77,26 +77,28 @@ def sort_into_cells(points, valid, height, width, edge):  # type: ignore[no-unty
 
 @part
 def nearest_in_cells(x, y, edge, cells, place, other):  # type: ignore[no-untyped-def]
-    """Where the first of the points nearest to the pixel (x, y) stands among the sorted ones, of which there is at least one.
+    """Place among the sorted points of the point nearest to pixel (x, y); of equals the first.
 
-    The nearer the better of two guesses, ``place`` and ``other``, the sooner it is found: pixels are asked row by row, and the
-    nearest of the last pixel and of the one above are near.
+    There is at least one point. ``place`` and ``other`` are two guesses; a near guess makes the
+    search short. Pixels are visited row by row, so the results of the last pixel and of the pixel
+    above are good guesses.
     """
     rows, columns, begin, xs, ys, order = cells
     best = (xs[place] - x) * (xs[place] - x) + (ys[place] - y) * (ys[place] - y)
     squared = (xs[other] - x) * (xs[other] - x) + (ys[other] - y) * (ys[other] - y)
     if squared < best:
         best, place = squared, other
-    radius = math.sqrt(best) * (1.0 + 1e-9)
+    radius = math.sqrt(best) * RADIUS_MARGIN
     top, left = _cell(x - radius, y - radius, edge, rows, columns)
     bottom, right = _cell(x + radius, y + radius, edge, rows, columns)
     row, _ = _cell(x, y, edge, rows, columns)
-    # Its own row of cells and those below, then those above, as far as one can hold a nearer point.
+    # The pixel's own row of cells, the rows below, then the rows above, while one can hold a nearer
+    # point.
     for k in range(bottom - top + 1):
         is_below = row + k <= bottom
         i = row + k if is_below else bottom - k
         beyond = i * edge - 0.5 - y if is_below else y + 0.5 - (i + 1) * edge
-        if beyond > 0.0 and beyond * beyond * (1.0 - 1e-12) > best:
+        if beyond > 0.0 and beyond * beyond * SQUARED_MARGIN > best:
             continue
         for n in range(begin[i * columns + left], begin[i * columns + right + 1]):
             squared = (xs[n] - x) * (xs[n] - x) + (ys[n] - y) * (ys[n] - y)
@@ -107,7 +109,10 @@ def nearest_in_cells(x, y, edge, cells, place, other):  # type: ignore[no-untype
 
 @part
 def nearest_in_column(marked, near):  # type: ignore[no-untyped-def]
-    """Fill ``near`` [H, W] with the row of the marked pixel nearest in the same column (the upper of two), -1 without one."""
+    """Fill ``near`` [H, W] with the row of the marked pixel that is nearest in the same column.
+
+    Of two equally near the upper one is taken; -1 stands in a column without any.
+    """
     height, width = marked.shape
     for j in range(width):
         near[0, j] = 0 if marked[0, j] else -1
@@ -123,7 +128,7 @@ def nearest_in_column(marked, near):  # type: ignore[no-untyped-def]
 
 @part
 def nearest_marked(i, j, nearest_row):  # type: ignore[no-untyped-def]
-    """Row and column of the marked pixel nearest to pixel (i, j), of equals the leftmost; -1 without any.
+    """Row and column of the marked pixel nearest to (i, j); of equals the leftmost, -1 if none.
 
     ``nearest_row`` is what `nearest_in_column` fills.
     """
@@ -143,26 +148,19 @@ def nearest_marked(i, j, nearest_row):  # type: ignore[no-untyped-def]
 
 @compiled
 def _compare_all(first, last, queries, data, out):  # type: ignore[no-untyped-def]
-    """Fill ``out`` [B, Q] with the index into ``data`` [B, N, 3] of the point nearest to each query."""
-    xs, ys, zs = (
-        np.empty(BLOCK, data.dtype),
-        np.empty(BLOCK, data.dtype),
-        np.empty(BLOCK, data.dtype),
-    )
-    least, chosen = np.empty(BLOCK, data.dtype), np.empty(BLOCK, np.int32)
+    """Fill ``out`` [B, Q] with the index into ``data`` [B, N, 3] of each query's nearest point."""
+    size, kind = QUERIES_AT_ONCE, data.dtype
+    xs, ys, zs = np.empty(size, kind), np.empty(size, kind), np.empty(size, kind)
+    least, chosen = np.empty(size, kind), np.empty(size, np.int32)
     for cloud in range(first, last):
-        for start in range(0, queries.shape[1], BLOCK):
-            size = min(BLOCK, queries.shape[1] - start)
+        for start in range(0, queries.shape[1], QUERIES_AT_ONCE):
+            size = min(QUERIES_AT_ONCE, queries.shape[1] - start)
             for k in range(size):
                 xs[k], ys[k], zs[k] = queries[cloud, start + k]
                 least[k], chosen[k] = np.inf, 0
             for n in range(data.shape[1]):
-                x, y, z, number = (
-                    data[cloud, n, 0],
-                    data[cloud, n, 1],
-                    data[cloud, n, 2],
-                    np.int32(n),
-                )
+                x, y, z = data[cloud, n, 0], data[cloud, n, 1], data[cloud, n, 2]
+                number = np.int32(n)
                 for k in range(size):
                     squared = (xs[k] - x) ** 2 + (ys[k] - y) ** 2 + (zs[k] - z) ** 2
                     nearer = squared < least[k]

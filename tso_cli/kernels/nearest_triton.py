@@ -10,7 +10,8 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-# Queries of one program, and points that each of them is compared with at once: all pairs are held in registers.
+# Queries of one program, and points that each query is compared with at once. All pairs are held in
+# registers.
 QUERIES = 32
 DATA = 64
 
@@ -18,18 +19,19 @@ DATA = 64
 def nearest_in_rows(
     queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None
 ) -> Tensor:
-    """As `tso_cli.kernels.nearest.nearest_in_rows`, for float32 on a GPU; among points equally near the first."""
+    """As `tso_cli.kernels.nearest.nearest_in_rows`, for float32 on a GPU; of equals the first."""
     rows, count, dimensions = queries.shape
     index = torch.empty(rows, count, dtype=torch.int64, device=queries.device)
     if not index.numel():
         return index
     blocks = triton.cdiv(count, QUERIES)
-    # Triton launches on the current GPU, which need not be the one that holds the points.
+    # Triton launches on the current GPU; the points may be on another one.
     with torch.cuda.device_of(queries):
         _nearest[rows * blocks,](
-            queries.contiguous(), data.contiguous(), _flags(valid, index), _flags(active, index), index,
-            count, data.shape[1], blocks,
-            DIMENSIONS=dimensions, SOME_VALID=valid is not None, SOME_ACTIVE=active is not None, QUERIES=QUERIES, DATA=DATA,
+            queries.contiguous(), data.contiguous(), _flags(valid, index), _flags(active, index),
+            index, count, data.shape[1], blocks, DIMENSIONS=dimensions,
+            SOME_VALID=valid is not None, SOME_ACTIVE=active is not None,
+            QUERIES=QUERIES, DATA=DATA,
         )  # fmt: skip
     return index
 
@@ -41,7 +43,8 @@ def _flags(flags: Tensor | None, unused: Tensor) -> Tensor:
 @triton.jit
 def _nearest(  # type: ignore[no-untyped-def]
     queries, data, valid, active, index, query_count, data_count, blocks,
-    DIMENSIONS: tl.constexpr, SOME_VALID: tl.constexpr, SOME_ACTIVE: tl.constexpr, QUERIES: tl.constexpr, DATA: tl.constexpr,
+    DIMENSIONS: tl.constexpr, SOME_VALID: tl.constexpr, SOME_ACTIVE: tl.constexpr,
+    QUERIES: tl.constexpr, DATA: tl.constexpr,
 ):  # fmt: skip
     row = tl.program_id(0).to(tl.int64) // blocks
     place = tl.program_id(0) % blocks * QUERIES + tl.arange(0, QUERIES)
@@ -54,11 +57,12 @@ def _nearest(  # type: ignore[no-untyped-def]
     y = tl.load(query + 1, mask=searches, other=0.0)[:, None]
     if DIMENSIONS == 3:
         z = tl.load(query + 2, mask=searches, other=0.0)[:, None]
-    # Each lane keeps its nearest point so far, and the start of its tile; lanes are compared once, at the end.
+    # Each lane keeps its nearest point so far, and the start of the tile of this point. Lanes are
+    # compared once, at the end.
     lane = tl.arange(0, DATA)
     nearest = tl.full([QUERIES, DATA], float("inf"), tl.float32)
     when = tl.full([QUERIES, DATA], 0, tl.int32)
-    # Nothing to do where no query of this program searches.
+    # The loop is empty if no query of this program is active.
     for start in range(0, data_count * tl.max(searches.to(tl.int32), 0), DATA):
         number = start + lane
         loaded = number < data_count

@@ -1,15 +1,22 @@
-"""Loops over the points of a cloud: farthest-point sampling, neighbours, interpolation between nodes."""
+"""Compiled loops over the points of a cloud.
+
+Farthest-point sampling, nearest neighbours, the Chamfer distance, interpolation between nodes.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from .jit import compiled, exactly, part
+from .nearest_numba import RADIUS_MARGIN
 
 
 @exactly
 def farthest_points(points, chosen):  # type: ignore[no-untyped-def]
-    """Fill ``chosen`` [count] as `tso_cli.geometry.points.farthest_point_sample` does, of ``points`` [N, 3]."""
+    """Fill ``chosen`` [count] with the indices of points spread over ``points`` [N, 3].
+
+    The result is the same as from `tso_cli.geometry.points.farthest_point_sample`.
+    """
     count = len(points)
     nearest = np.full(count, np.inf)
     index = 0
@@ -17,7 +24,7 @@ def farthest_points(points, chosen):  # type: ignore[no-untyped-def]
         chosen[i] = index
         x, y, z = points[index]
         farthest, following = -2.0, 0
-        # Below every distance: where points coincide, no index is chosen again.
+        # Less than every distance, so that no index is chosen twice where points coincide.
         nearest[index] = -1.0
         for n in range(count):
             dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
@@ -29,14 +36,17 @@ def farthest_points(points, chosen):  # type: ignore[no-untyped-def]
 
 @compiled
 def nearest_few(queries, data, chosen):  # type: ignore[no-untyped-def]
-    """Fill ``chosen`` [Q, k] with the points of ``data`` [N, 3] nearest to each query [Q, 3], by increasing distance."""
+    """Fill ``chosen`` [Q, k] with the points of ``data`` [N, 3] nearest to each query [Q, 3].
+
+    They are in order of increasing distance.
+    """
     count = chosen.shape[1]
     xs, ys, zs = data[:, 0].copy(), data[:, 1].copy(), data[:, 2].copy()
     squared, best = np.empty(len(data)), np.empty(count)
     for q in range(len(queries)):
         best[:] = np.inf
         x, y, z = queries[q]
-        # In a loop of its own, so that it becomes SIMD code.
+        # A loop of its own, so that the compiler makes SIMD code of it.
         for n in range(len(data)):
             squared[n] = (
                 (xs[n] - x) * (xs[n] - x) + (ys[n] - y) * (ys[n] - y) + (zs[n] - z) * (zs[n] - z)
@@ -52,15 +62,17 @@ def nearest_few(queries, data, chosen):  # type: ignore[no-untyped-def]
 
 @part
 def _cell(x, low, per_unit, side):  # type: ignore[no-untyped-def]
-    """Index of the cell, along one axis, that holds ``x``; the outermost cells hold what lies beyond."""
+    """Index, along one axis, of the cell of ``x``; the outermost cells hold all beyond them."""
     return int(min(max((x - low) * per_unit, 0.0), side - 1.0))
 
 
 @compiled
 def sort_into_grid(points, low, per_unit, sides):  # type: ignore[no-untyped-def]
-    """Sort finite points [N, 3] into cells: ``per_unit`` on a unit of length, ``sides`` [3] in all, from ``low`` [3] on.
+    """Sort the finite ones of ``points`` [N, 3] into a grid of ``sides`` [3] cells.
 
-    Returns ``begin``, the points of cell c being those from begin[c] to begin[c + 1]; and their numbers and coordinates.
+    The grid begins at ``low`` [3] and has ``per_unit`` cells in a unit of length. Returns
+    ``begin``, and the numbers and coordinates of the points in sorted order. The points of cell c
+    stand from begin[c] to begin[c + 1].
     """
     width, cells = sides[0], np.empty(len(points), np.int32)
     # While points are sorted in, the start of cell c stands at c + 1.
@@ -69,9 +81,8 @@ def sort_into_grid(points, low, per_unit, sides):  # type: ignore[no-untyped-def
     for n in range(len(points)):
         cells[n] = -1
         if np.isfinite(points[n, 0] + points[n, 1] + points[n, 2]):
-            row = _cell(points[n, 2], low[2], per_unit, sides[2]) * sides[1] + _cell(
-                points[n, 1], low[1], per_unit, sides[1]
-            )
+            layer = _cell(points[n, 2], low[2], per_unit, sides[2])
+            row = layer * sides[1] + _cell(points[n, 1], low[1], per_unit, sides[1])
             cells[n] = row * width + _cell(points[n, 0], low[0], per_unit, width)
             begin[cells[n] + 2] += 1
     for cell in range(len(begin) - 2):
@@ -88,10 +99,10 @@ def sort_into_grid(points, low, per_unit, sides):  # type: ignore[no-untyped-def
 
 @compiled
 def nearest_in_grid(queries, data, grid, low, per_unit, sides, chosen):  # type: ignore[no-untyped-def]
-    """Make ``chosen`` [Q] the points of ``data`` [N, 3], sorted into ``grid``, that are nearest to each query [Q, 3].
+    """Fill ``chosen`` [Q] with the point of ``data`` [N, 3] that is nearest to each query [Q, 3].
 
-    A query looks into the cells which can hold a point nearer than the one in ``chosen`` before: the better that guess, the
-    sooner it is done.
+    ``grid`` holds the points of ``data`` as `sort_into_grid` returns them. Before the call
+    ``chosen`` holds a guess for each query; a near guess leaves few cells to search.
     """
     begin, order, coordinates = grid
     width = sides[0]
@@ -103,28 +114,20 @@ def nearest_in_grid(queries, data, grid, low, per_unit, sides, chosen):  # type:
         )
         if not best < np.inf:
             continue
-        radius = np.sqrt(best) * (1.0 + 1e-9)
-        left, right = (
-            _cell(x - radius, low[0], per_unit, width),
-            _cell(x + radius, low[0], per_unit, width),
-        )
-        bottom, top = (
-            _cell(y - radius, low[1], per_unit, sides[1]),
-            _cell(y + radius, low[1], per_unit, sides[1]),
-        )
-        front, back = (
-            _cell(z - radius, low[2], per_unit, sides[2]),
-            _cell(z + radius, low[2], per_unit, sides[2]),
-        )
+        radius = np.sqrt(best) * RADIUS_MARGIN
+        left = _cell(x - radius, low[0], per_unit, width)
+        right = _cell(x + radius, low[0], per_unit, width)
+        bottom = _cell(y - radius, low[1], per_unit, sides[1])
+        top = _cell(y + radius, low[1], per_unit, sides[1])
+        front = _cell(z - radius, low[2], per_unit, sides[2])
+        back = _cell(z + radius, low[2], per_unit, sides[2])
         for k in range(front, back + 1):
             for j in range(bottom, top + 1):
                 row = (k * sides[1] + j) * width
                 for place in range(begin[row + left], begin[row + right + 1]):
-                    dx, dy, dz = (
-                        coordinates[place, 0] - x,
-                        coordinates[place, 1] - y,
-                        coordinates[place, 2] - z,
-                    )
+                    dx = coordinates[place, 0] - x
+                    dy = coordinates[place, 1] - y
+                    dz = coordinates[place, 2] - z
                     squared = dx * dx + dy * dy + dz * dz
                     if squared < best:
                         best, nearest = squared, order[place]
@@ -133,7 +136,11 @@ def nearest_in_grid(queries, data, grid, low, per_unit, sides, chosen):  # type:
 
 @compiled
 def chamfer(start, moved, to_start, to_moved, gradient):  # type: ignore[no-untyped-def]
-    """The Chamfer distance of two clouds [N, 3] by their nearest neighbours; fills its ``gradient`` [N, 3] by ``moved``."""
+    """The Chamfer distance between the clouds ``start`` and ``moved`` [N, 3], squared, both ways.
+
+    ``to_start`` and ``to_moved`` [N] are the nearest neighbours. Fills ``gradient`` [N, 3] with the
+    gradient by ``moved``.
+    """
     total, scale = 0.0, 2.0 / len(start)
     for n in range(len(start)):
         for c in range(3):

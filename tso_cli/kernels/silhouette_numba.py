@@ -1,4 +1,7 @@
-"""The silhouette's cross-entropy of one view as compiled loops; its reference is in `tso_cli.losses.silhouette`."""
+"""The cross-entropy of the silhouette of one view as compiled loops.
+
+Its reference is `tso_cli.losses.silhouette`.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ def silhouette_bce(
     background: NDArray[np.floating],
     sigma_sq: float,
 ) -> tuple[float, NDArray[np.float64]]:
-    """Value and gradient [N, 2], in float32, whose exponentials are SIMD code."""
+    """Value and gradient [N, 2]. They are computed in float32, whose exponentials are SIMD code."""
     points, covering, freeing = (
         array.astype(np.float32, order="C")[None] for array in (points_px, foreground, background)
     )

@@ -1,4 +1,7 @@
-"""Sums of Gaussians over a pixel grid (Eq. 2 and 3 before the tanh): dispatch, and the reference in plain torch."""
+"""Sums of Gaussians over a pixel grid (Eq. 2 and 3 before the tanh).
+
+The choice of a form, and the reference in plain torch.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,16 @@ from .window import window_radius
 def splat(
     points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, kernel: str = "auto"
 ) -> Tensor:
-    """Sum of one un-normalised Gaussian per point at every pixel centre: the argument of the tanh in Eq. 2.
+    """Sum, at every pixel centre, of one un-normalised Gaussian per point (in the tanh of Eq. 2).
 
     Parameters
     ----------
-    points_px : [M, N, 2] column and row. valid : [M, N] bool; points that are False add nothing and get no gradient.
+    points_px : [M, N, 2] column and row.
+    valid : [M, N] bool; points that are False add nothing and get no gradient.
     sigma_sq : variance of the Gaussian, px^2.
-    kernel : "exact" (every pixel, Eq. 2 as printed, in plain torch), "compiled" (only the pixels around each point, numba on
-        the CPU), "triton" (the same on a GPU) or "auto" (see `tso_cli.kernels.tensors`).
+    kernel : "exact": every pixel, Eq. 2 as printed, in plain torch. "compiled": only the pixels
+        around each point, numba on the CPU. "triton": as "compiled", on a GPU. "auto": see
+        `tso_cli.kernels.tensors`.
 
     Returns
     -------
@@ -38,7 +43,7 @@ def splat(
 
 
 def _exact(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float) -> Tensor:
-    """The reference: the matrix product of phi(y - j) [H, N] and phi(x - i) [N, W] is the sum over points of their product."""
+    """The reference: phi(y - j) [H, N] times phi(x - i) [N, W]; this product sums over points."""
     columns = torch.arange(width, device=points_px.device, dtype=points_px.dtype)
     rows = torch.arange(height, device=points_px.device, dtype=points_px.dtype)
     x, y = torch.where(valid.unsqueeze(-1), points_px, 0.0).unbind(-1)
@@ -49,13 +54,14 @@ def _exact(points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: 
 
 def _gaussian(distance: Tensor, sigma_sq: float) -> Tensor:
     exponent = distance.square() * (-0.5 / sigma_sq)
-    # Below this the value is denormal, and a product of denormals is ten times slower; the true value is under 1e-37.
+    # Under this exponent the value is denormal (under 1e-37), and products of denormals are ten
+    # times slower. Such values are 0.
     smallest = -85.0 if distance.dtype == torch.float32 else -700.0
     return torch.exp(exponent.clamp_min(smallest)) * (exponent > smallest)
 
 
 class _Windowed(torch.autograd.Function):
-    """The sum of each point's window; backward reads the same window again, so nothing of its size k x k is stored."""
+    """The sums over the windows of points. Backward computes each window again; none is stored."""
 
     @staticmethod
     def forward(
@@ -69,28 +75,19 @@ class _Windowed(torch.autograd.Function):
     ) -> Tensor:
         ctx.save_for_backward(points_px, valid)
         ctx.sigma_sq, ctx.kernel = sigma_sq, kernel
-        return _run(
-            kernel, "sums", points_px, valid, height, width, sigma_sq, window_radius(sigma_sq)
-        )
+        radius = window_radius(sigma_sq)
+        return _run(kernel, "sums", points_px, valid, height, width, sigma_sq, radius)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
-        points_px, valid = ctx.saved_tensors
-        grad = _run(
-            ctx.kernel,
-            "gradient",
-            grad_outputs[0],
-            points_px,
-            valid,
-            ctx.sigma_sq,
-            window_radius(ctx.sigma_sq),
-        )
+        window = ctx.sigma_sq, window_radius(ctx.sigma_sq)
+        grad = _run(ctx.kernel, "gradient", grad_outputs[0], *ctx.saved_tensors, *window)
         return grad, None, None, None, None, None
 
 
 def _run(kernel: str, name: str, *arguments: Any) -> Tensor:
-    """Call the function of that name of a kernel that is not plain torch; importing it is slow."""
+    """Call the function ``name`` of the "compiled" or "triton" form, whose import is slow."""
     result: Tensor
     if kernel == "triton":
         from . import splat_triton

@@ -1,4 +1,7 @@
-"""The windowed sums of Gaussians as compiled loops on the CPU: each tap is touched once forward and once backward."""
+"""The windowed sums of Gaussians as compiled loops on the CPU.
+
+A tap is one pixel in the window of one point. It is visited once forward and once backward.
+"""
 
 from __future__ import annotations
 
@@ -7,21 +10,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .jit import RANGES_PER_THREAD, compiled, part, share
+from .jit import RANGES_PER_THREAD, Array, Marks, compiled, part, share
 from .simd import LANES, LOWEST, add_rows, exp, project_rows
 
-# Points whose weights are computed together and used while in the cache.
+# Points whose weights are computed together, and are used while they are in the cache.
 BLOCK = 32
-# Weights below exp of this count as zero: the product of two would be a denormal number, ten times slower.
+# A weight is 0 under exp of this exponent: the product of two such weights would be a denormal
+# number of float32, and arithmetic with denormals is ten times slower.
 NEGLIGIBLE_EXPONENT = -43.75
-# Offset of the lanes that a window leaves empty: so far from every point that the weight is zero.
+# Offset of the empty lanes of a window. It is so far from every point that the weight is 0.
 PADDING = 1e9
-# Basic steps for the weights of a point, beside its taps.
-PER_POINT = 64
-
-
-Array = NDArray[np.floating[Any]]
-Marks = NDArray[np.bool_]
+# Basic steps for the weights of a point, in addition to the steps for its taps.
+STEPS_PER_POINT = 64
 
 
 def sums(
@@ -35,22 +35,14 @@ def sums(
 ) -> Array:
     """The windowed sums [M, H, W] of the Gaussians of points [M, N, 2], float32 or float64.
 
-    Each pixel adds its points in the cloud's order, so that bands of rows can be filled in parallel.
+    Each pixel adds its points in the order of the cloud, so that bands of rows can be filled in
+    parallel.
     """
     images, count = valid.shape
     out = np.empty((images, height, width), points_px.dtype)
     bands, steps = _bands(images, height, radius, threads), _steps(images, count, radius)
-    share(
-        images * bands,
-        steps,
-        threads,
-        _add,
-        points_px,
-        valid,
-        _window(sigma_sq, radius, out.dtype),
-        bands,
-        out,
-    )
+    window = _window(sigma_sq, radius, out.dtype)
+    share(images * bands, steps, threads, _add, points_px, valid, window, bands, out)
     return out
 
 
@@ -64,24 +56,15 @@ def gradient(
     height, width = by_sums.shape[1:]
     padded = np.zeros((images, height, width + 2 * radius + len(window.steps)), points_px.dtype)
     padded[:, :, 2 * radius : 2 * radius + width] = by_sums
-    share(
-        images * count,
-        _steps(images, count, radius),
-        threads,
-        _gather,
-        points_px,
-        valid,
-        window,
-        padded,
-        out,
-    )
+    steps = _steps(images, count, radius)
+    share(images * count, steps, threads, _gather, points_px, valid, window, padded, out)
     return out
 
 
 class Window(NamedTuple):
     """The taps of a point along one axis."""
 
-    steps: NDArray[Any]  # offsets from the pixel nearest to the point, padded to whole SIMD vectors
+    steps: NDArray[Any]  # offsets from the pixel of the point, padded to whole SIMD vectors
     radius: int
     factor: float  # of a squared distance (px^2) in the exponent
 
@@ -93,17 +76,18 @@ def _window(sigma_sq: float, radius: int, kind: np.dtype[Any]) -> Window:
 
 
 def _bands(images: int, height: int, radius: int, threads: int) -> int:
-    """Bands of rows that each image is cut into, so that every thread has some."""
+    """Number of bands of rows that each image is cut into, so that every thread gets some."""
     if threads == 1 or not images:
         return 1
-    # A point whose window crosses into another band is computed twice: bands are kept high against the window.
+    # A point whose window crosses into another band is computed twice, so a band is at least twice
+    # as high as a window.
     bands = -(-RANGES_PER_THREAD * threads // images)
     return max(1, min(bands, height // (4 * radius + 2)))
 
 
 def _steps(images: int, count: int, radius: int) -> int:
     """Basic steps to touch every tap of every point once."""
-    return images * count * (PER_POINT + (2 * radius + 1) ** 2)
+    return images * count * (STEPS_PER_POINT + (2 * radius + 1) ** 2)
 
 
 @part
@@ -122,12 +106,8 @@ def _touches(x, y, top, bottom, width, radius):  # type: ignore[no-untyped-def]
 def _weigh(points, chosen, count, window, along_x, along_y):  # type: ignore[no-untyped-def]
     """The separable weights of the first ``count`` points that are ``chosen``, a row each."""
     kind, steps = points.dtype.type, window.steps
-    by, least, negligible, zero = (
-        kind(window.factor),
-        kind(LOWEST),
-        kind(NEGLIGIBLE_EXPONENT),
-        kind(0.0),
-    )
+    by, least = kind(window.factor), kind(LOWEST)
+    negligible, zero = kind(NEGLIGIBLE_EXPONENT), kind(0.0)
     for i in range(count):
         x, y = points[chosen[i], 0], points[chosen[i], 1]
         dx, dy = x - np.rint(x), y - np.rint(y)
@@ -146,18 +126,19 @@ def _add(first, last, points, valid, window, bands, out):  # type: ignore[no-unt
     """Fill the bands ``first`` to ``last`` of ``out`` [M, H, W], counted through all images."""
     height, width = out.shape[1:]
     radius, span = window.radius, len(window.steps)
-    # Room beside the image for the rest of a window, so that no tap needs a test: column c of the image is 2 radius + c.
+    # Margins take the part of a window outside the image, so that no tap needs a test. Column c of
+    # the image stands at 2 radius + c.
     stride = 2 * radius + width + span
     chosen = np.empty(BLOCK, np.int64)
     along_x, along_y = np.empty((BLOCK, span), points.dtype), np.empty((BLOCK, span), points.dtype)
     across, down = along_x.reshape(-1), along_y.reshape(-1)
     for task in range(first, last):
-        cloud, shown, band = points[task // bands], valid[task // bands], task % bands
+        cloud, visible, band = points[task // bands], valid[task // bands], task % bands
         top, bottom = band * height // bands, (band + 1) * height // bands
         padded = np.zeros((bottom - top, stride), points.dtype)
         flat, size = padded.reshape(-1), 0
         for n in range(len(cloud)):
-            if shown[n] and _touches(cloud[n, 0], cloud[n, 1], top, bottom, width, radius):
+            if visible[n] and _touches(cloud[n, 0], cloud[n, 1], top, bottom, width, radius):
                 chosen[size] = n
                 size += 1
             if size < BLOCK and n + 1 < len(cloud):
@@ -178,7 +159,8 @@ def _add(first, last, points, valid, window, bands, out):  # type: ignore[no-unt
 def _gather(first, last, points, valid, window, padded, out):  # type: ignore[no-untyped-def]
     """Fill ``out`` [M, N, 2] for the points ``first`` to ``last``, counted through all images.
 
-    ``padded`` holds the derivative by the sums, in rows as those of `_add`; beside the image it is 0.
+    ``padded`` holds the derivative by the sums, in rows like the padded rows of `_add`. It is 0
+    outside the image.
     """
     count, height, stride = points.shape[1], padded.shape[1], padded.shape[2]
     steps, radius, factor = window
@@ -187,12 +169,8 @@ def _gather(first, last, points, valid, window, padded, out):  # type: ignore[no
     chosen = np.empty(BLOCK, np.int64)
     along_x, along_y = np.empty((BLOCK, span), points.dtype), np.empty((BLOCK, span), points.dtype)
     slope_x, slope_y = np.empty((BLOCK, span), points.dtype), np.empty((BLOCK, span), points.dtype)
-    right, across, down, left = (
-        along_x.reshape(-1),
-        slope_x.reshape(-1),
-        along_y.reshape(-1),
-        slope_y.reshape(-1),
-    )
+    right, across = along_x.reshape(-1), slope_x.reshape(-1)
+    down, left = along_y.reshape(-1), slope_y.reshape(-1)
     for image in range(first // count, -(-last // count)):
         cloud, flat = points[image], padded[image].reshape(-1)
         start, stop = max(first - image * count, 0), min(last - image * count, count)
@@ -219,17 +197,9 @@ def _gather(first, last, points, valid, window, padded, out):  # type: ignore[no
                 for k in range(0, span, LANES):
                     place = top * stride + column + radius + k
                     x, y = project_rows(
-                        flat,
-                        place,
-                        stride,
-                        bottom - top,
-                        down,
-                        left,
-                        weight,
-                        right,
-                        across,
+                        flat, place, stride, bottom - top, down, left, weight, right, across,
                         i * span + k,
-                    )
+                    )  # fmt: skip
                     by_x += x
                     by_y += y
                 out[image, chosen[i], 0] += 2.0 * factor * by_x

@@ -1,6 +1,8 @@
-"""The windowed sums of Gaussians as Triton kernels on a GPU: each tap is touched once forward and once backward.
+"""The windowed sums of Gaussians as Triton kernels on a GPU. Experimental.
 
-Experimental. Importing this imports triton, which builds of torch for GPUs bring with them: import it only where a kernel runs.
+A tap is one pixel in the window of one point. It is visited once forward and once backward.
+Importing this module imports triton, which builds of torch for GPUs contain: import it only where a
+kernel runs.
 """
 
 from __future__ import annotations
@@ -12,16 +14,19 @@ import triton
 import triton.language as tl
 from torch import Tensor
 
-# Columns of a window worked on at once; wider windows are cut into strips.
-WIDEST = 128
-# Taps held by one program: a row of the windows of some points.
-TILE = 512
+# Columns of a window that a program works on at once. Wider windows are cut into strips.
+MOST_COLUMNS = 128
+# Taps that one program holds: one row of the windows of several points.
+TAPS_PER_PROGRAM = 512
 
 
 def sums(
     points_px: Tensor, valid: Tensor, height: int, width: int, sigma_sq: float, radius: int
 ) -> Tensor:
-    """As `tso_cli.kernels.splat.splat`, for float32 on a GPU; the order of atomic additions, and so the last bits, vary."""
+    """As `tso_cli.kernels.splat.splat`, for float32 on a GPU.
+
+    The order of atomic additions varies, and with it the last bits.
+    """
     images, count = valid.shape
     out = torch.zeros(images, height, width, dtype=points_px.dtype, device=points_px.device)
     _launch(_add, points_px, valid, out, sigma_sq, radius)
@@ -31,7 +36,7 @@ def sums(
 def gradient(
     grad_sums: Tensor, points_px: Tensor, valid: Tensor, sigma_sq: float, radius: int
 ) -> Tensor:
-    """Derivative [M, N, 2] by ``points_px``, from that by the sums [M, H, W]."""
+    """Derivative [M, N, 2] by ``points_px``, from the derivative by the sums [M, H, W]."""
     out = torch.empty_like(points_px, memory_format=torch.contiguous_format)
     _launch(_gather, points_px, valid, grad_sums.contiguous(), sigma_sq, radius, out)
     return out
@@ -48,9 +53,9 @@ def _launch(
 ) -> None:
     if not valid.numel():
         return
-    taps = min(triton.next_power_of_2(2 * radius + 1), WIDEST)
-    block = TILE // taps
-    # Triton launches on the current GPU, which need not be the one that holds the points.
+    taps = min(triton.next_power_of_2(2 * radius + 1), MOST_COLUMNS)
+    block = TAPS_PER_PROGRAM // taps
+    # Triton launches on the current GPU; the points may be on another one.
     with torch.cuda.device_of(points_px):
         kernel[triton.cdiv(valid.numel(), block),](
             points_px.contiguous(), valid.contiguous().view(torch.uint8), image, *out,
@@ -61,7 +66,10 @@ def _launch(
 
 @triton.jit
 def _axis(coordinate, reached):  # type: ignore[no-untyped-def]
-    """Nearest integer to each coordinate and the rest; 0 where the image is not reached, whose integers could overflow."""
+    """Nearest integer to each coordinate, and the rest; 0 where the image is not reached.
+
+    Integers outside the image could overflow.
+    """
     kept = tl.where(reached, coordinate, 0.0)
     nearest = tl.floor(kept + 0.5)
     return nearest.to(tl.int32), kept - nearest
@@ -69,7 +77,10 @@ def _axis(coordinate, reached):  # type: ignore[no-untyped-def]
 
 @triton.jit
 def _placed(points, valid, total, per_image, height, width, radius, POINTS: tl.constexpr):  # type: ignore[no-untyped-def]
-    """The points of this program: number, whether the window touches the image, start of the image, pixel, offset from it."""
+    """The points of this program.
+
+    Number, whether the window touches the image, start of the image, pixel, offset from the pixel.
+    """
     number = tl.program_id(0).to(tl.int64) * POINTS + tl.arange(0, POINTS)
     there = number < total
     there = there & (tl.load(valid + number, mask=there, other=0) != 0)
@@ -148,7 +159,8 @@ def _gather(  # type: ignore[no-untyped-def]
         along_x = tl.exp(-0.5 * inverse * to_x * to_x)
         k = column[:, None] + step[None, :]
         inside = reached[:, None] & (step[None, :] <= radius) & (k >= 0) & (k < width)
-        # Of each column: the sum of its taps' values times their weights, and times their distance too.
+        # For each column: the weighted sum of its taps, and the same sum times their vertical
+        # distance.
         value = tl.zeros([POINTS, TAPS], tl.float32)
         slope = tl.zeros([POINTS, TAPS], tl.float32)
         for up in range(0, 2 * radius + 1):

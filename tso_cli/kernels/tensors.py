@@ -1,7 +1,9 @@
-"""Which form of a kernel runs on tensors, for training: plain torch, numba loops on the CPU, or Triton on a GPU (experimental).
+"""Which form of a kernel runs on tensors, for training.
 
-numba runs on float32 and float64 CPU tensors of batches of 8,192 points or more. Triton runs on float32 tensors on a GPU where
-it can be imported. All else is plain torch.
+1. Compiled loops (numba) run on float32 and float64 tensors on the CPU, in batches of at least
+   8,192 points.
+2. Triton (experimental) runs on float32 tensors on a GPU, if it can be imported.
+3. Plain torch runs in all other cases.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from torch.autograd.function import once_differentiable
 
 from .dispatch import importable
 
+# Smaller batches are about as fast in plain torch, and need no compilation.
 POINTS_WORTH_COMPILING = 8192
 
 
@@ -31,7 +34,7 @@ def triton_runs(points: Tensor) -> bool:
 
 
 def called(function: Callable[..., Any], *arguments: Any) -> Any:
-    """What ``function`` of arrays returns for ``arguments``, tensors given and returned, on torch's threads."""
+    """Call ``function``, which takes and returns arrays, with tensors, on torch's threads."""
     arrays = (a.detach().contiguous().numpy() if isinstance(a, Tensor) else a for a in arguments)
     results = function(*arrays, threads=torch.get_num_threads())
     if isinstance(results, tuple):
@@ -40,7 +43,7 @@ def called(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 class PrecomputedGradient(torch.autograd.Function):
-    """``value`` [M] as a function of ``variable`` [M, ., .] whose derivative is ``gradient`` [M, ., .]."""
+    """``value`` [M] as a function of ``variable`` [M, ., .] whose derivative is ``gradient``."""
 
     @staticmethod
     def forward(ctx: Any, variable: Tensor, value: Tensor, gradient: Tensor) -> Tensor:

@@ -1,1 +1,1 @@
-"""Questions asked of the method: studies, the paper's tables, benchmarks and generated shapes. The product never imports it."""
+"""Questions asked of the method; nothing of the product imports this."""

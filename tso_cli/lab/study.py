@@ -1,4 +1,4 @@
-"""What a study is: a question, the options of its command, the cases that it judges, and how its record is shown."""
+"""What a study is: a question, its options, its cases, and how its record is shown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from ..errors import InputError
 from ..io.output import reason
 from ..plots.table import Cell, text_table
 from ..version import __version__
-from .studies import BENCHES, QUESTIONS
+from .options import Option
+from .studies import QUESTIONS
 
 Record = dict[str, Any]
 Cases = list[Record]
@@ -23,59 +24,8 @@ Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class Option:
-    """An option of a study's command.
-
-    ``kind`` is bool for a flag without a value. ``help`` names the default where ``default`` is None or empty. With
-    ``multiple`` `Study.plan` gets a tuple without duplicates. ``name`` is that of its parameter, if not that of the flag.
-    """
-
-    flag: str
-    help: str = ""
-    kind: type = str
-    default: Any = None
-    choices: tuple[str, ...] = ()
-    least: int | None = None
-    most: int | None = None
-    required: bool = False
-    multiple: bool = False
-    name: str = ""
-
-    @property
-    def parameter(self) -> str:
-        return self.name or self.flag.removeprefix("--").replace("-", "_")
-
-
-MESHES = Option(
-    "--meshes", "Folder with CATEGORY/NAME for every name of the split.", Path, required=True
-)
-SPLIT = Option(
-    "--split", "JSON file, or a folder of lists.  [default: that of the shipped network]", Path
-)
-CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
-CATEGORY = Option(
-    "--category",
-    "May be repeated.  [default: 3, or all of --split]",
-    str,
-    (),
-    multiple=True,
-    name="categories",
-)
-LIMIT = Option("--limit", "At most so many shapes of each category.", int, least=1)
-VIEWS = Option("--views", "Random views of each shape.", int, 2, least=1)
-SEED = Option("--seed", "Seed of everything random.", int, 0, least=0, most=2**63 - 1)
-DEVICE = Option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu")
-COMMON = (MESHES, SPLIT, LIMIT, SEED)
-
-
-def part(default: str, *choices: str) -> Option:
-    """Which list of the split is judged."""
-    return Option("--part", default=default, choices=choices or ("test", "validation"))
-
-
-@dataclass(frozen=True)
 class Table:
-    """A table of a record: ``header``, and ``rows`` with as many cells each; ``title`` above it, ``note`` below it."""
+    """A table of a record, with ``title`` above it and ``note`` below it."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[Cell]]
@@ -85,20 +35,16 @@ class Table:
 
     def text(self) -> str:
         """For a terminal."""
-        return "\n".join(
-            filter(None, (self.title, text_table(self.header, self.rows, self.decimals), self.note))
-        )
+        table = text_table(self.header, self.rows, self.decimals)
+        return "\n".join(filter(None, (self.title, table, self.note)))
 
     def markdown(self) -> str:
         """For a page."""
-        shown = [
-            text_table([name], [[row[i]] for row in self.rows], self.decimals)
+        columns = [
+            text_table([name], [[row[i]] for row in self.rows], self.decimals).split("\n")
             for i, name in enumerate(self.header)
         ]
-        lines = [
-            list(map(str.strip, line))
-            for line in zip(*(column.split("\n") for column in shown), strict=True)
-        ]
+        lines = [[cell.strip() for cell in line] for line in zip(*columns, strict=True)]
         lines[1] = ["---"] * len(self.header)
         table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
         return "\n\n".join(filter(None, (self.title and f"### {self.title}", table, self.note)))
@@ -108,8 +54,8 @@ class Table:
 class Progress:
     """What a study resumes from, and where it reports to.
 
-    ``earlier`` is the record to resume, ``keep`` is called with the record so far, and ``overwrite`` says whether files that
-    the study itself writes may be replaced. ``source`` is what messages call the earlier record.
+    ``earlier`` is the record to resume, which messages call ``source``; ``keep`` is called with the
+    record so far; ``overwrite`` says whether files that the study itself writes may be replaced.
     """
 
     report: Report = lambda what, done, total: None
@@ -121,7 +67,7 @@ class Progress:
 
 @contextmanager
 def undamaged(source: str) -> Iterator[None]:
-    """InputError where the record that messages call ``source`` cannot be concluded from, compared or shown."""
+    """Raises InputError where the record that messages call ``source`` is damaged."""
     try:
         yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -133,8 +79,9 @@ def undamaged(source: str) -> Iterator[None]:
 class Plan:
     """The work of a study.
 
-    settings : of the record; only a record with equal ones is resumed.
-    jobs : (values that only the cases of this job share, function that judges them); the record is kept after each.
+    settings : of the record; only a record with equal settings is resumed.
+    jobs : (values that only the cases of this job share, function that makes these cases). The
+        record is kept after each job.
     doing : what is reported. finish : called with the complete record.
     """
 
@@ -146,10 +93,12 @@ class Plan:
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """A question to the method: ``plan`` says what to do for ``options``, ``conclude`` what all cases together say.
+    """A question to the method.
 
-    ``about`` is the help of its command, below the question. ``parts`` are those of the method that its `fingerprint` is of;
-    ``tables`` and ``draw`` (path, record, overwrite) show a record, ``reading`` says on its page what it means.
+    ``plan`` says what to do for ``options``; ``conclude`` says what all cases together mean.
+    ``about`` is the help of the command, below the question. ``parts`` are the parts of the method
+    whose `fingerprint` the record keeps. ``tables`` and ``draw`` (path, record, overwrite) show a
+    record; ``reading`` says on its page how to read it.
     """
 
     name: str
@@ -165,14 +114,15 @@ class Study:
 
     @property
     def question(self) -> str:
-        return (QUESTIONS | BENCHES)[self.name][1]
+        text = QUESTIONS[self.name][1].removeprefix("Paper: ")
+        return text[0].upper() + text[1:]
 
     @property
     def command(self) -> str:
-        return f"tso {'bench' if self.name in BENCHES else 'lab'} {self.name}"
+        return f"tso lab {self.name}"
 
     def run(self, progress: Progress, **options: Any) -> Record:
-        """The record of all cases; those of ``progress.earlier`` are not judged again.
+        """The record of all cases; the cases of ``progress.earlier`` are not made again.
 
         Raises InputError if the earlier record is of another study or of other settings.
         """
@@ -181,43 +131,38 @@ class Study:
         cases = self._earlier_cases(progress, plan.settings)
         record = self._checked_record(plan, cases, progress, began)
         progress.keep(record)
-        for number, (shared, judge) in enumerate(plan.jobs, 1):
-            if not _judged(shared, cases):
-                cases = [*cases, *judge()]
+        for number, (shared, make_cases) in enumerate(plan.jobs, 1):
+            if not _has_cases_of(shared, cases):
+                cases = [*cases, *make_cases()]
                 record = self._checked_record(plan, cases, progress, began)
                 progress.keep(record)
             progress.report(plan.doing, number, len(plan.jobs))
         plan.finish(record)
         return record
 
+    def renewed(self, record: Record) -> Record:
+        """The record with conclusions, convention and command as the study words them now."""
+        options = str(record.get("command", "")).partition(f" {self.name}")[2]
+        words = {"convention": self.convention, "command": self.command + options}
+        return {**record, **words, **self.conclude(record["cases"])}
+
     def _checked_record(self, plan: Plan, cases: Cases, progress: Progress, began: float) -> Record:
-        """The record; InputError where cases of an earlier one cannot be concluded from or shown."""
+        """The record; raises InputError where cases of an earlier record are damaged."""
         if progress.earlier is None:
             return self._record(plan, cases, time.monotonic() - began)
         with undamaged(progress.source):
-            record = self._record(
-                plan, cases, progress.earlier.get("seconds", 0.0) + time.monotonic() - began
-            )
+            seconds = progress.earlier.get("seconds", 0.0) + time.monotonic() - began
+            record = self._record(plan, cases, seconds)
             for table in self.tables(record) if record["complete"] else ():
                 table.text()
         return record
 
     def _record(self, plan: Plan, cases: Cases, seconds: float) -> Record:
-        complete = all(_judged(shared, cases) for shared, _ in plan.jobs)
-        head = {
-            "study": self.name,
-            "version": __version__,
-            "convention": self.convention,
-            "complete": complete,
-        }
+        complete = all(_has_cases_of(shared, cases) for shared, _ in plan.jobs)
+        head = {"study": self.name, "version": __version__, "convention": self.convention}
+        state = {"complete": complete, "seconds": seconds, "settings": plan.settings}
         conclusions = self.conclude(cases) if complete else {}
-        return {
-            **head,
-            "seconds": seconds,
-            "settings": plan.settings,
-            **conclusions,
-            "cases": cases,
-        }
+        return {**head, **state, **conclusions, "cases": cases}
 
     def _earlier_cases(self, progress: Progress, settings: Record) -> Cases:
         if progress.earlier is None:
@@ -226,21 +171,20 @@ class Study:
         text = progress.source
         if name != self.name or not isinstance(before, dict) or not isinstance(cases, list):
             raise InputError(f"{text} is of the study {name!r}, expected one of {self.command}")
-        # As a record has them: tuples are lists there.
+        # In JSON tuples are lists.
         for key, value in json.loads(json.dumps(settings)).items():
             if before.get(key) != value:
-                raise InputError(
-                    f"{text} has {key} {before.get(key)!r}, now it is {value!r}; expected the same"
-                )
+                found = f"{text} has {key} {before.get(key)!r}, now it is {value!r}"
+                raise InputError(f"{found}; expected the same")
         return cases
 
 
-def _judged(shared: Record, cases: Cases) -> bool:
+def _has_cases_of(shared: Record, cases: Cases) -> bool:
     return any(shared.items() <= case.items() for case in cases)
 
 
 def claim(text: str, holds: bool, measured: str) -> Record:
-    """One of a record's claims: whether it holds, and the figures that say so."""
+    """One of a record's claims: whether it holds, and the figures that show it."""
     return {"claim": text, "holds": bool(holds), "found": measured}
 
 
@@ -251,16 +195,13 @@ def claim_line(claim: Record) -> str:
 
 def answer(study: Study, record: Record) -> str:
     """Tables, convention and claims of a record, for a terminal."""
+    tables = (table.text() for table in study.tables(record))
     claims = "\n".join(map(claim_line, record.get("claims", [])))
-    return "\n\n".join(
-        filter(
-            None, (*(table.text() for table in study.tables(record)), _convention(record), claims)
-        )
-    )
+    return "\n\n".join(filter(None, (*tables, _convention(record), claims)))
 
 
 def page(study: Study, record: Record, file_name: str, more_charts: Sequence[str] = ()) -> str:
-    """The page of the record in ``file_name``, NAME.json, as Markdown; its chart is NAME.png beside it."""
+    """The page of the record in ``file_name``, NAME.json, as Markdown; its chart is NAME.png."""
     parts = [
         f"# {study.question}",
         f"    {record.get('command', study.command)} -o {file_name}",

@@ -1,4 +1,4 @@
-"""Further views of an example; imports no torch, whose memory would be measured with that of a refinement."""
+"""Further views of an example; imports no torch, whose memory is no part of a refinement's."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..losses.silhouette import silhouette_of
 
 
 def views_around(view: View, truth: Array, radians: Array) -> list[View]:
-    """The view, and silhouettes of the ``truth`` [N, 3] that it shows, turned by so much about the vertical axis."""
+    """The view, and silhouettes of its ``truth`` [N, 3] turned about the vertical axis."""
     turns = from_vectors(np.outer(radians, [0.0, 1.0, 0.0]))
     cameras = [replace(view.camera, R=view.camera.R @ turn) for turn in turns]
     return [view, *(View(silhouette_of(truth, camera), camera) for camera in cameras)]

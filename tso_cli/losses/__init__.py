@@ -1,1 +1,1 @@
-"""The losses of a refinement in numpy: functions of points that return a value and its gradient."""
+"""The losses of a refinement in numpy. Each is a function of points: value and gradient."""

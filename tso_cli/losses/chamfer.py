@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..geometry.arrays import Array
 from ..geometry.points import quantile
 from ..kernels.dispatch import use_compiled
 from .nearest import nearest, nearest_few
 
-Array = NDArray[np.float64]
-# A surface leaves most cells of the grid empty.
+# A surface leaves most cells of a grid empty, so there are more cells than points.
 CELLS_PER_POINT = 4.0
+# The grid spans these quantiles of the coordinates: outliers would make its cells too large for the
+# other points. Points outside the grid belong to its outermost cells.
+GRID_QUANTILES = (0.01, 0.99)
 
 
 class ChamferToStart:
-    """Squared distances, mean over points, both directions summed, between a cloud [N, 3] and the same cloud moved.
+    """Chamfer distance between a cloud [N, 3] and the same cloud after its points have moved.
 
-    A moved point within half the distance from its start to the next one is nearest to its own start: most need no search.
-    In compiled loops each point looks around itself, no further than to its neighbour of the last call.
+    Squared distances, mean over points, summed over both directions. A point that has moved by less
+    than half the distance from its start to the next start is nearest to its own start, so most
+    points need no search. The compiled loops search around each point, as far as its neighbour of
+    the last call.
     """
 
     def __init__(self, initial: Array) -> None:
@@ -50,13 +54,12 @@ class ChamferToStart:
 
 
 class _Grid:
-    """The cells that the points are sorted into, and their neighbours of the last call."""
+    """The cells that the points are sorted into, and the points' neighbours of the last call."""
 
     def __init__(self, initial: Array) -> None:
         from ..kernels.points_numba import sort_into_grid
 
-        # Few strays would make the cells too large for the rest. What lies outside belongs to the outermost cells.
-        low, high = (quantile(initial, share) for share in (0.01, 0.99))
+        low, high = (quantile(initial, share) for share in GRID_QUANTILES)
         extent = np.maximum(high - low, np.max(high - low) * 1e-2 + 1e-30)
         edge = float(np.cbrt(extent.prod() / (CELLS_PER_POINT * len(initial))))
         sides = np.ceil(extent / edge).astype(np.int64)
@@ -77,11 +80,11 @@ class _Grid:
 
 
 def spacings(points: Array) -> Array:
-    """[N] distance from each point to the nearest other one; infinite for a single point."""
+    """[N] distance from each point to the nearest other point; infinite for a single point."""
     if len(points) == 1:
         return np.full(1, np.inf)
     two = nearest_few(points, points, 2)
-    # Of coinciding points either may come first.
+    # Of two points at the same place either may come first.
     other = np.where(two[:, 0] == np.arange(len(points)), two[:, 1], two[:, 0])
     spacing: Array = np.sqrt(np.square(points - points[other]).sum(1))
     return spacing

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.arrays import Array
 from ..geometry.camera import Camera
 from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
 from .nearest import nearest
 from .projection import Projected, pixels_under
 
-Array = NDArray[np.float64]
-
-# Tolerance of both terms, pixels of an image of 64 at the surface's depth.
+# Distance up to which both terms cost nothing, px of an image of 64 at the surface's depth. It is
+# half the diagonal of a pixel, as `COVERED_WITHIN` of the mask Chamfer loss.
 TOLERANCE = 0.7
 
 
@@ -24,9 +24,10 @@ class DepthTarget:
 
     Attributes
     ----------
-    surface : [P, 3] the points of the foreground pixels that have a depth, in the frame of the cloud.
-    per_unit : [P] pixels, of an image of 64, to a unit of length at each of them.
-    front : [H, W] least depth of the pixel and its eight neighbours; minus infinity where the pixel has none.
+    surface : [P, 3] the points of the foreground pixels that have a depth, in the cloud's frame.
+    per_unit : [P] pixels of an image of 64 in a unit of length at each of these points.
+    front : [H, W] least depth of the pixel and its eight neighbours; minus infinity where the pixel
+        has no depth.
     front_per_unit : [H, W] ``per_unit`` of the pixel.
     """
 
@@ -38,13 +39,16 @@ class DepthTarget:
 
     @classmethod
     def of(cls, depth: Array, inside: NDArray[np.bool_], camera: Camera) -> DepthTarget:
-        """``depth`` [H, W], NaN where unknown; ``inside`` [H, W] bool, the foreground; a perspective camera."""
+        """From ``depth`` [H, W], NaN where unknown, and ``inside`` [H, W] bool, the foreground.
+
+        The camera is a perspective one.
+        """
         known = inside & np.isfinite(depth)
         rows, columns = np.nonzero(known)
         rays = np.stack([columns, rows, np.ones(len(rows))], 1) @ np.linalg.inv(camera.K).T
         surface = (rays * depth[known][:, None] - camera.t) @ camera.R
         padded = np.pad(np.where(known, depth, np.inf), 1, constant_values=np.inf)
-        # A point between two pixels may lie before one of them and on the surface all the same.
+        # A point between two pixels can lie in front of one of them and still be on the surface.
         least = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).min((2, 3))
         focal = np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * (REFERENCE_SIDE / max(depth.shape))
         per_unit = focal / np.where(known, depth, 1.0)
@@ -63,11 +67,15 @@ class DepthTarget:
 def depth_loss(
     points: Array, projected: Projected, target: DepthTarget, robust_scale: float
 ) -> tuple[float, Array]:
-    """Attract points to surfaces that none has reached, and push back points in front of a surface.
+    """Attract points to surfaces without a point, and push back points in front of a surface.
 
-    A pixel whose surface is further than 0.7 px from the nearest point, in space, attracts that point; a point that lies more
-    than that before the least depth around its pixel is pushed back to it. Lengths are in pixels at the surface's depth, and
-    pairs cost what they do in `mask_chamfer`. Points behind a surface are hidden and cost nothing.
+    1. A pixel attracts the point nearest to its surface, in space, if this point is further away
+       than 0.7 px.
+    2. A point is pushed back to the least depth around its pixel if it lies more than 0.7 px in
+       front of it.
+    3. A point behind a surface is hidden and costs nothing.
+
+    Lengths are in pixels at the surface's depth. A pair costs ``rho(d)`` of `mask_chamfer`.
 
     Parameters
     ----------
@@ -75,7 +83,8 @@ def depth_loss(
 
     Returns
     -------
-    The sum over pixels of an image of 64, and over points as if the cloud had 1,024; its gradient [N, 3].
+    The sum over pixels of an image of 64 and over points, as if the cloud had 1,024 points. Its
+    gradient [N, 3].
     """
     value, gradient = 0.0, np.zeros_like(points)
     (candidates,) = np.nonzero(projected.valid)

@@ -1,4 +1,4 @@
-"""Mask Chamfer loss: points cover each foreground pixel and do not fall on background."""
+"""Mask Chamfer loss: points cover each foreground pixel, and none lies outside the mask."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.arrays import Array, Bits
 from .nearest import nearest
 from .projection import pixels_under
 
-Array = NDArray[np.float64]
-Marks = NDArray[np.bool_]
-
-# Lengths are stated in pixels of an image whose longer side has 64.
+# Lengths are stated in pixels of an image whose longer side has 64 pixels.
 REFERENCE_SIDE = 64.0
-# Distance, px, at which a point covers a pixel's centre: half the diagonal of a pixel, the most to the nearest centre.
+# A point covers a pixel if its distance, px, to the pixel's centre is at most this: half the
+# diagonal of a pixel, which is the largest distance from a point to the nearest centre.
 COVERED_WITHIN = 0.7
-# Pixels at most so far from a point's own, along rows and columns, are tried first as those that it is nearest to.
+# Each point first tries the pixels within this many rows and columns of its own pixel.
 REACH = 2
-# Standard deviations across a part, px, that pixels just fail to resolve, and that they surely resolve.
-THIN, THICK = 0.2, 0.8
-# Stray points are weighted as if a cloud had so many: sampling density says nothing of how wrong a cloud is.
+# Standard deviations across a part, px: pixels do not resolve a part under the first (a strip 0.7
+# px wide), and fully resolve it above the second.
+UNRESOLVED, RESOLVED = 0.2, 0.8
+# Points outside the mask weigh as if the cloud had this many points, because the density of a cloud
+# says nothing about its error.
 REFERENCE_POINTS = 1024.0
 
 
@@ -33,15 +34,17 @@ class MaskTarget:
     Attributes
     ----------
     inside, outside : [H, W] bool, pixels known to be foreground and background.
-    bounds : left, top, right, bottom edges of the image that the mask is a part of, in pixels of the mask.
-    grain : factor by which the mask was enlarged: no detail finer than so many of its pixels is known.
+    bounds : left, top, right and bottom edge of the image that contains the mask, in pixels of the
+        mask.
+    cells_per_mask_pixel : factor, at least 1, by which the mask was enlarged: the pixels here are
+        cells of the window, and the original mask knows no detail finer than this many cells.
     truncated : whether the object extends beyond the border of its image.
     """
 
-    inside: Marks
-    outside: Marks
+    inside: Bits
+    outside: Bits
     bounds: tuple[float, float, float, float]
-    grain: float = 1.0
+    cells_per_mask_pixel: float = 1.0
     truncated: bool = False
 
     @classmethod
@@ -50,23 +53,25 @@ class MaskTarget:
         mask: Array,
         known: Array | None = None,
         bounds: tuple[float, float, float, float] | None = None,
-        grain: float = 1.0,
+        cells_per_mask_pixel: float = 1.0,
         truncated: bool = False,
     ) -> MaskTarget:
-        """``mask`` [H, W] in [0, 1]; ``known`` [H, W], unknown under 0.5; ``bounds`` None for a whole image."""
+        """From ``mask`` [H, W] in [0, 1] and ``known`` [H, W], where a pixel under 0.5 is unknown.
+
+        ``bounds`` is None for the mask of a whole image.
+        """
         height, width = mask.shape
-        return cls(
-            *sides(mask, known), bounds or (-0.5, -0.5, width - 0.5, height - 0.5), grain, truncated
-        )
+        bounds = bounds or (-0.5, -0.5, width - 0.5, height - 0.5)
+        return cls(*sides(mask, known), bounds, cells_per_mask_pixel, truncated)
 
     @property
     def scale(self) -> float:
-        """Pixels of an image of 64 to one of the mask."""
+        """Pixels of an image of 64 in one pixel of the mask."""
         return REFERENCE_SIDE / max(self.inside.shape)
 
     @cached_property
     def pixels(self) -> float:
-        """Foreground pixels, of an image of 64."""
+        """Area of the foreground, in pixels of an image of 64."""
         return float(self.inside.sum()) * self.scale**2
 
     @cached_property
@@ -77,7 +82,10 @@ class MaskTarget:
 
     @cached_property
     def nearest_in_column(self) -> NDArray[np.int64]:
-        """[H, W] row of the foreground pixel nearest to each pixel among those of its column, of two the upper; -1 without."""
+        """[H, W] row of the foreground pixel that is nearest in the same column.
+
+        Of two equally near the upper one is taken; -1 stands in a column without foreground.
+        """
         height = len(self.inside)
         rows = np.arange(height)[:, None]
         above = np.maximum.accumulate(np.where(self.inside, rows, -height), 0)
@@ -87,7 +95,7 @@ class MaskTarget:
 
     @cached_property
     def nearest_foreground(self) -> NDArray[np.int64]:
-        """[H, W, 2] row and column of the foreground pixel nearest to each pixel, of equals the leftmost."""
+        """[H, W, 2] row and column of the nearest foreground pixel; of equals the leftmost."""
         height, width = self.inside.shape
         near = self.nearest_in_column
         squared = np.where(near < 0, 1 << 40, np.square(near - np.arange(height)[:, None]))
@@ -95,19 +103,25 @@ class MaskTarget:
         columns = np.stack([(across + line).argmin(1) for line in squared])  # [H, W]
         return np.stack([np.take_along_axis(near, columns, 1), columns], -1)
 
-    def observed(self, points_px: Array, valid: Marks) -> Marks:
-        """[N] which points the mask can judge: of a truncated object, those within the image."""
+    def observed(self, points_px: Array, valid: Bits) -> Bits:
+        """[N] which points can be compared with the mask.
+
+        If the object is truncated, these are the points in the image.
+        """
         return valid & self.in_image(points_px) if self.truncated else valid
 
-    def in_image(self, points_px: Array) -> Marks:
-        """[N] which points [N, 2] fall within the image, in the mask's part of it or beside that."""
+    def in_image(self, points_px: Array) -> Bits:
+        """[N] which points [N, 2] fall in the image; the mask may show a part of it."""
         return np.asarray(((points_px >= self.bounds[:2]) & (points_px <= self.bounds[2:])).all(1))
 
 
-def sides(mask: Array, known: Array | None = None) -> tuple[Marks, Marks]:
-    """Pixels [H, W] known to be foreground and background; ``mask`` and ``known`` as in `MaskTarget.of`.
+def sides(mask: Array, known: Array | None = None) -> tuple[Bits, Bits]:
+    """Pixels [H, W] known to be foreground, and known to be background.
 
-    Foreground is over half covered; of an object so thin that no pixel is, over half as covered as its best.
+    ``mask`` and ``known`` are as in `MaskTarget.of`.
+
+    A foreground pixel is more than half covered. If an object is so thin that no pixel is half
+    covered, a foreground pixel is covered more than half as much as the most covered pixel.
     """
     covered = mask if known is None else np.where(known >= 0.5, mask, 0.0)
     most = covered.max()
@@ -117,29 +131,34 @@ def sides(mask: Array, known: Array | None = None) -> tuple[Marks, Marks]:
 
 def mask_chamfer(
     points_px: Array,
-    valid: Marks,
+    valid: Bits,
     target: MaskTarget,
     robust_scale: float,
     resolvability: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Attract points to uncovered foreground pixels, and points on background to the mask.
+    """Attract points to uncovered foreground pixels, and points outside the mask to the mask.
 
-    A foreground pixel whose nearest point is further than 0.7 px attracts that point; the nearest foreground pixel attracts a
-    point on a background pixel. With d the distance in pixels of an image whose longer side has 64, each pair costs
-    ``rho(d) = d^2 r^2 / (r^2 + d^2)`` (Geman and McClure): the square of small distances, while pairs many times the robust
-    scale r apart, likely no counterparts, have next to no gradient. Where the border truncates the object, points beyond it
-    cost nothing, nor do pixels whose nearest point is one of them.
+    1. A foreground pixel attracts its nearest point if this point is further away than 0.7 px.
+    2. A point on a background pixel is attracted by the nearest foreground pixel.
+    3. If the border of the image truncates the object, a point beyond the border costs nothing, and
+       neither does a pixel whose nearest point lies there.
+
+    With d the distance in pixels of an image whose longer side has 64, each pair costs
+    ``rho(d) = d^2 r^2 / (r^2 + d^2)`` (Geman and McClure). This is the square of small distances. A
+    pair that is many times the robust scale r apart is probably no counterpart, and has almost no
+    gradient.
 
     Parameters
     ----------
     points_px, valid : [N, 2] column and row, [N] bool.
     robust_scale : r, pixels of an image of 64.
-    resolvability : [N] weights in [0, 1] of points on background; None for 1.
+    resolvability : [N] weights in [0, 1] of points outside the mask; None for 1.
 
     Returns
     -------
-    [N] what each point adds to the loss, a sum over pixels of an image of 64, and over points as if the cloud had 1,024; a
-    pixel's cost goes to the point it attracts. [N, 2] the gradient of the loss by ``points_px``.
+    [N] the part of each point in the loss. The loss is a sum over pixels of an image of 64 and over
+    points, as if the cloud had 1,024 points. The cost of a pixel belongs to the point that it
+    attracts. [N, 2] the gradient of the loss by ``points_px``.
     """
     costs, gradient = np.zeros(len(points_px)), np.zeros((len(points_px), 2))
     observed = target.observed(points_px, valid)
@@ -153,27 +172,26 @@ def mask_chamfer(
             owner, 2.0 * area * area * slope * offsets[:, axis], len(costs)
         )
 
-    stray, offsets = _stray(points_px, observed, target)
-    weight = (
-        REFERENCE_POINTS / len(points_px) * (1.0 if resolvability is None else resolvability[stray])
-    )
+    outside, offsets = _outside_mask(points_px, observed, target)
+    resolved = 1.0 if resolvability is None else resolvability[outside]
+    weight = REFERENCE_POINTS / len(points_px) * resolved
     cost, slope = robust(np.square(offsets).sum(1) * area, robust_scale)
-    costs[stray] += weight * cost
-    gradient[stray] += (2.0 * area * weight * slope)[:, None] * offsets
+    costs[outside] += weight * cost
+    gradient[outside] += (2.0 * area * weight * slope)[:, None] * offsets
     return costs, gradient
 
 
 def _uncovered(
-    points_px: Array, valid: Marks, observed: Marks, target: MaskTarget
+    points_px: Array, valid: Bits, observed: Bits, target: MaskTarget
 ) -> tuple[NDArray[np.int64], Array]:
-    """For each uncovered foreground pixel the point nearest to it [P], and that point minus the pixel [P, 2].
+    """The nearest point [P] of each uncovered foreground pixel, and point minus pixel [P, 2].
 
-    Pixels whose nearest point is not observed are left out.
+    A pixel is left out if its nearest point is not observed.
     """
     (candidates,) = np.nonzero(valid)
     if not len(candidates):
         return np.empty(0, np.int64), np.empty((0, 2))
-    within = COVERED_WITHIN * target.grain
+    within = COVERED_WITHIN * target.cells_per_mask_pixel
     near, pixels = _nearest_to_uncovered(REACH, points_px[candidates], target, within)
     (far,) = np.nonzero(near < 0)
     near[far] = nearest(pixels[far], points_px[candidates])
@@ -186,84 +204,91 @@ def _uncovered(
 def _nearest_to_uncovered(
     reach: int, points_px: Array, target: MaskTarget, within: float
 ) -> tuple[NDArray[np.int64], Array]:
-    """The foreground pixels [P, 2] with no point ``within`` so many px, and of each the nearest point's index [P].
+    """The uncovered foreground pixels [P, 2], and the index [P] of the nearest point of each.
 
-    The index is -1 where no point is within ``reach`` + 0.5 px. Most pixels have one: trying the few pixels around each point
-    is faster than all points for each pixel.
+    A pixel is uncovered if no point lies ``within`` this many px. The index is -1 if no point lies
+    within ``reach`` + 0.5 px. Each point tries the few pixels around it, which is faster than all
+    points for each pixel, and finds the nearest point of most pixels.
     """
     height, width = target.inside.shape
+    furthest = (reach + 0.5) ** 2
+    # Margins around the image take the places of points near its border.
     margin = 2 * reach + 1
     padded = width + 2 * margin
     x, y = np.ascontiguousarray(points_px.T)
-    (inside,) = np.nonzero(
+    (near,) = np.nonzero(
         (x > -reach - 1.0) & (x < width + reach) & (y > -reach - 1.0) & (y < height + reach)
     )
-    x, y = x[inside], y[inside]
+    x, y = x[near], y[near]
     column, row = np.rint(x), np.rint(y)
+    # Pairs of points and places around them, as one array of places and squared distances for each
+    # row of places: small arrays stay in the cache.
     steps = np.arange(-reach, reach + 1)
-    squared_rows, squared_columns = (
-        np.square(nearest - at + steps[:, None]) for nearest, at in ((row, y), (column, x))
-    )
-    pixel = ((row + margin) * padded + column + margin).astype(np.int64) + steps[:, None]
-    # One row of places around the points at a time: arrays that stay in the cache.
+    by_row, by_column = np.square(row - y + steps[:, None]), np.square(column - x + steps[:, None])
+    places = ((row + margin) * padded + column + margin).astype(np.int64) + steps[:, None]
     pairs = [
-        ((pixel + down * padded).ravel(), (squared + squared_columns).ravel())
-        for down, squared in zip(steps, squared_rows, strict=True)
+        ((places + down * padded).ravel(), (squared + by_column).ravel())
+        for down, squared in zip(steps, by_row, strict=True)
     ]
-    point = np.tile(inside, len(steps))
-    furthest = (reach + 0.5) ** 2
+    # 1. The least squared distance at each place.
     least = np.full((height + 2 * margin) * padded, furthest)
-    for pixels, squared in pairs:
-        np.minimum.at(least, pixels, squared)
+    for place, squared in pairs:
+        np.minimum.at(least, place, squared)
+    # 2. The foreground pixels whose least distance is too large.
     rows, columns = target.foreground
-    flat = (rows + margin) * padded + columns + margin
-    (uncovered,) = np.nonzero((least[flat] > within**2) | (least[flat] >= furthest))
-    flat = flat[uncovered]
+    pixels = (rows + margin) * padded + columns + margin
+    (uncovered,) = np.nonzero((least[pixels] > within**2) | (least[pixels] >= furthest))
+    pixels = pixels[uncovered]
+    # 3. The first point at the least distance of each of these pixels. Points that mirror each
+    # other are often equally far.
     sought = np.full(len(least), -1.0)
-    sought[flat] = least[flat]
+    sought[pixels] = least[pixels]
     owner = np.full(len(least), len(points_px))
-    for pixels, squared in pairs:
-        (nearest_ones,) = np.nonzero(squared == sought[pixels])
-        # Points that mirror each other are often equally far: the first is taken.
-        np.minimum.at(owner, pixels[nearest_ones], point[nearest_ones])
+    point = np.tile(near, len(steps))
+    for place, squared in pairs:
+        (nearest_ones,) = np.nonzero(squared == sought[place])
+        np.minimum.at(owner, place[nearest_ones], point[nearest_ones])
     owner = np.where(owner < len(points_px), owner, -1)
-    return owner[flat], np.stack([columns[uncovered], rows[uncovered]], 1).astype(float)
+    return owner[pixels], np.stack([columns[uncovered], rows[uncovered]], 1).astype(float)
 
 
-def _stray(
-    points_px: Array, observed: Marks, target: MaskTarget
+def _outside_mask(
+    points_px: Array, observed: Bits, target: MaskTarget
 ) -> tuple[NDArray[np.int64], Array]:
-    """The points that fall on background [P], and each minus the foreground pixel nearest to its own pixel [P, 2]."""
+    """The points on background [P], and each minus the foreground pixel nearest to it [P, 2]."""
     height, width = target.inside.shape
-    judged = observed & target.in_image(points_px)
-    # Beside the mask's part of the image it is background like that part's rim.
-    clamped = np.clip(np.where(judged[:, None], points_px, 0.0), 0.0, (width - 1.0, height - 1.0))
-    pixel, _ = pixels_under(clamped, judged, height, width)
-    (stray,) = np.nonzero(judged & target.outside.ravel()[pixel])
-    row, column = target.nearest_foreground.reshape(-1, 2)[pixel[stray]].T
-    return stray, points_px[stray] - np.stack([column, row], 1)
+    compared = observed & target.in_image(points_px)
+    # The image beyond the mask's part of it is as the nearest pixel of this part.
+    clamped = np.clip(np.where(compared[:, None], points_px, 0.0), 0.0, (width - 1.0, height - 1.0))
+    pixel, _ = pixels_under(clamped, compared, height, width)
+    (outside,) = np.nonzero(compared & target.outside.ravel()[pixel])
+    row, column = target.nearest_foreground.reshape(-1, 2)[pixel[outside]].T
+    return outside, points_px[outside] - np.stack([column, row], 1)
 
 
 def robust(squared: Array, robust_scale: float) -> tuple[Array, Array]:
-    """Geman and McClure's cost of squared distances, and its derivative by them.
+    """The cost ``rho`` (Geman and McClure) of squared distances, and its derivative by them.
 
-    The square where small, at most ``robust_scale`` squared.
+    A small distance costs its square; no distance costs more than ``robust_scale`` squared.
     """
     inlier = robust_scale**2 / (robust_scale**2 + squared)
     return squared * inlier, np.square(inlier)
 
 
-def resolvability(patches_px: Array, grain: float = 1.0) -> Array:
-    """How far pixels resolve a part: one seen edge-on, or very thin, says little by lying beside the mask.
+def resolvability(patches_px: Array, cells_per_mask_pixel: float = 1.0) -> Array:
+    """[M] how far pixels resolve a part, in [0, 1].
 
-    Of the projected neighbours ``patches_px`` [M, K, 2] of a node, the smaller standard deviation in pixels of ``grain`` (as
-    in `MaskTarget`) gives 0 under 0.2 px, that of a strip 0.7 px wide, 1 over 0.8 px, linear between. [M]
+    A part that is very thin, or seen edge-on, can lie outside the mask only because the mask has
+    lost it. ``patches_px`` [M, K, 2] are the projected neighbours of M nodes. Their smaller
+    standard deviation, in pixels of the original mask (see `MaskTarget`), gives 0 up to 0.2 px, 1
+    from 0.8 px on, and a linear value between.
     """
-    # A product with equal weights is a mean, and for so few neighbours five times as fast.
+    # A product with equal weights is a mean; for few neighbours it is five times as fast.
     equal = np.full(patches_px.shape[1], 1.0 / patches_px.shape[1])
     x, y = (part - (part @ equal)[:, None] for part in (patches_px[:, :, 0], patches_px[:, :, 1]))
     xx, yy, xy = np.square(x) @ equal, np.square(y) @ equal, (x * y) @ equal
     # The smaller eigenvalue of the covariance is the variance across.
-    across = np.sqrt(np.maximum((xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy), 0.0)) / grain
-    resolved: Array = np.clip((across - THIN) / (THICK - THIN), 0.0, 1.0)
+    across = np.sqrt(np.maximum((xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy), 0.0))
+    across /= cells_per_mask_pixel
+    resolved: Array = np.clip((across - UNRESOLVED) / (RESOLVED - UNRESOLVED), 0.0, 1.0)
     return resolved

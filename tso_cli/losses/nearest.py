@@ -1,24 +1,28 @@
-"""Nearest neighbours and evenly spread subsets: by all distances, in compiled loops, or of many points by a tree."""
+"""Nearest neighbours, and evenly spread subsets, in the form that is fastest for the work.
+
+All distances in numpy, compiled loops, or a k-d tree for many points.
+"""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..geometry import points as plain
+from ..geometry.arrays import Array, Indices
 from ..kernels.dispatch import use_compiled
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-# Distances computed at once; bounds memory.
+# Distances that are computed at once; it bounds the memory.
 PAIRS_AT_ONCE = 1 << 21
-# With more pairs a k-d tree, whose import takes a quarter of a second, is faster than the matrix, or than compiled loops.
-MOST_PAIRS, MOST_COMPILED = 1 << 22, 1 << 25
+# With more pairs a k-d tree, whose import takes a quarter of a second, is faster than the matrix of
+# distances, and than the compiled loops.
+MOST_PAIRS, MOST_COMPILED_PAIRS = 1 << 22, 1 << 25
 
 
 def nearest(queries: Array, data: Array) -> Indices:
-    """[Q] index of the point of ``data`` [N, D] nearest to each of the ``queries`` [Q, D], finite all; the first of equals."""
+    """[Q] index of the point of ``data`` [N, D] nearest to each of the ``queries`` [Q, D].
+
+    All coordinates are finite. Of equally near points the first is taken.
+    """
     if len(queries) * len(data) > MOST_PAIRS:
         return _by_tree(queries, data, 1)
     if use_compiled() and data.shape[1] == 3:
@@ -29,9 +33,12 @@ def nearest(queries: Array, data: Array) -> Indices:
 
 
 def nearest_few(queries: Array, data: Array, count: int) -> Indices:
-    """[Q, count] indices of the nearest points of ``data``, by increasing distance; ``count`` is few, at most N."""
+    """[Q, count] indices of the nearest points of ``data`` in order of increasing distance.
+
+    ``count`` is a small number, at most N.
+    """
     compiled = use_compiled() and data.shape[1] == 3
-    if len(queries) * len(data) > (MOST_COMPILED if compiled else MOST_PAIRS):
+    if len(queries) * len(data) > (MOST_COMPILED_PAIRS if compiled else MOST_PAIRS):
         return _by_tree(queries, data, count).reshape(-1, count)
     if compiled:
         from ..kernels import points_numba
@@ -42,7 +49,7 @@ def nearest_few(queries: Array, data: Array, count: int) -> Indices:
     chosen = []
     for squared in _shifted_distances(queries, data):
         few = np.empty((len(squared), count), np.int64)
-        # A few searches for the least take a third of a partition's time.
+        # A few searches for the minimum take a third of the time of a partition.
         for place in range(count):
             few[:, place] = squared.argmin(1)
             squared[np.arange(len(squared)), few[:, place]] = np.inf
@@ -59,11 +66,10 @@ def _by_tree(queries: Array, data: Array, count: int) -> Indices:
     return indices
 
 
-def spread_subset(points: Array, count: int) -> Indices:
-    """As `tso_cli.geometry.points.spread_subset`."""
-    return plain.spread_subset(
-        points, count, _farthest_points if use_compiled() else plain.farthest_point_sample
-    )
+def fast_spread_subset(points: Array, count: int) -> Indices:
+    """`tso_cli.geometry.points.spread_subset` in compiled loops, if they run here."""
+    sample = _farthest_points if use_compiled() else plain.farthest_point_sample
+    return plain.spread_subset(points, count, sample)
 
 
 def _farthest_points(points: Array, count: int) -> Indices:
@@ -75,8 +81,11 @@ def _farthest_points(points: Array, count: int) -> Indices:
 
 
 def _shifted_distances(queries: Array, data: Array):  # type: ignore[no-untyped-def]
-    """Chunks [q, N] of the squared distances minus ``|query|^2``: one matrix product, of the same order."""
-    # About the middle of the data, where the difference of two large numbers loses fewest digits.
+    """Chunks [q, N] of the squared distances minus ``|query|^2``, which are in the same order.
+
+    Each chunk is one matrix product.
+    """
+    # Relative to the middle of the data, so that differences of large numbers lose few digits.
     middle = data.mean(0)
     data = data - middle
     right = np.concatenate([-2.0 * data.T, np.square(data).sum(1)[None]])

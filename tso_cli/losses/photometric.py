@@ -1,4 +1,4 @@
-"""The photometric loss of clouds with colours: visible points lie where the photo has their colour."""
+"""The photometric loss of coloured clouds: visible points lie where the photo has their colour."""
 
 from __future__ import annotations
 
@@ -7,45 +7,51 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.arrays import Array
 from ..geometry.camera import Camera
 from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
 from .projection import Projected, pixels_under, project
 
-Array = NDArray[np.float64]
-
-# A point is visible if it lies no further than this (longest side 1) behind the first within a pixel of it.
+# A point is visible if it lies at most this far (longest side 1) behind the front point of its
+# pixel and of the eight pixels around it.
 OCCLUSION_DEPTH = 0.015
-# Robust scale of colour differences, of channels in [0, 1].
-ROBUST_SCALE = 0.1
-# Squared pixels of a mask of 64 per unit of squared colour.
-WEIGHT = 3000.0
-# The detail of a picture is what is finer than so many blurs: light changes slowly across an object, paint does not.
-COARSE = 4.0
-# Largest ratio of brightness, channel by channel, between photo and cloud, and of cloud and photo.
-EXPOSURE = 5.0
+# Robust scale of colour differences, of channels in [0, 1]. Larger differences are another part of
+# the object, or a shadow.
+COLOUR_ROBUST_SCALE = 0.1
+# Weight of the loss: squared pixels of a mask of 64 per unit of squared colour.
+COLOUR_WEIGHT = 3000.0
+# Detail is what a blur of this many times the fine blur removes: light changes slowly across an
+# object, and paint changes fast.
+COARSE_BLUR = 4.0
+# Largest ratio, in each channel, of the brightness of photo and cloud, either way.
+LARGEST_EXPOSURE = 5.0
 TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False)
 class Photo:
-    """What a photo shows of the object: [h, w, 3] colours in [0, 1], [h, w] bool foreground, and the weight of its view."""
+    """A photo of the object, and its view."""
 
-    image: Array
-    inside: NDArray[np.bool_]
+    image: Array  # [h, w, 3] in [0, 1]
+    inside: NDArray[np.bool_]  # [h, w] foreground
     camera: Camera
-    weight: float
+    weight: float  # of the view
 
 
 @dataclass(frozen=True, eq=False)
 class PhotometricTerm:
     """Moves visible points of a cloud to where a photo has their colours.
 
-    Photo and cloud are compared by their detail: a Gaussian blur of standard deviation ``blur`` minus one of four times that.
-    Each visible point costs ``3000 a rho(c)``, c the difference between its detail and the photo's where it projects,
-    interpolated bilinearly, and ``rho(c) = c^2 s^2 / (s^2 + c^2)`` with s = 0.1 (Geman-McClure), since larger differences
-    are another part or a shadow. The exposure of each channel is estimated and removed. The factor a is the correlation of
-    the two details at the start of the stage: a photo of other paint says nothing. Visibility is computed at every call,
-    without gradient.
+    Photo and cloud are compared by their detail: a Gaussian blur of standard deviation ``blur``,
+    minus a blur of four times this standard deviation. A visible point costs ``3000 a rho(c)``:
+
+    1. c is the detail of the point minus the detail of the photo where the point projects,
+       interpolated bilinearly. The exposure of each channel is estimated and removed.
+    2. ``rho(c) = c^2 s^2 / (s^2 + c^2)`` with s = 0.1 (Geman and McClure).
+    3. a is the correlation of the two details at the start of the stage, because a photo of other
+       paint says nothing.
+
+    Visibility is computed at every call and has no gradient.
     """
 
     photo: Photo
@@ -58,7 +64,8 @@ class PhotometricTerm:
     def at(cls, photo: Photo, colours: Array, points: Array, blur: float) -> PhotometricTerm:
         """The term of a stage that starts at ``points`` [N, 3] with ``colours`` [N, 3] in [0, 1].
 
-        ``blur`` is a standard deviation, px of a mask of 64. The cloud is blurred too, as an image of its visible points.
+        ``blur`` is a standard deviation, px of a mask of 64. The cloud is blurred as an image of
+        its visible points.
         """
         height, width = photo.inside.shape
         sigma = blur * max(height, width) / REFERENCE_SIDE
@@ -73,10 +80,12 @@ class PhotometricTerm:
         picture = _detail(np.stack(total, -1) / np.maximum(drawn, 1.0)[..., None], drawn, sigma)
         of_cloud = _sampled(picture, projected.points_px)[0]
         of_photo = _sampled(detail, projected.points_px)[0] * visible[:, None]
-        # Exposure by least squares; 1 for a channel that the cloud lacks.
+        # Exposure by least squares; 1 for a channel in which the cloud has no detail.
         squared = (np.square(of_cloud) * visible[:, None]).sum(0)
         ratio = (of_photo * of_cloud).sum(0) / np.maximum(squared, TINY)
-        exposure = np.clip(np.where(squared > 0.0, ratio, 1.0), 1.0 / EXPOSURE, EXPOSURE)
+        exposure = np.clip(
+            np.where(squared > 0.0, ratio, 1.0), 1.0 / LARGEST_EXPOSURE, LARGEST_EXPOSURE
+        )
         expected = of_cloud * exposure
         squares = np.square(of_photo).sum() * (np.square(expected) * visible[:, None]).sum()
         agreement = max(float((of_photo * expected).sum()), 0.0) / max(
@@ -85,20 +94,21 @@ class PhotometricTerm:
         return cls(photo, detail, expected, exposure, agreement)
 
     def __call__(self, points: Array) -> tuple[float, Array]:
-        """The loss of ``points`` [N, 3], as if the cloud had 1,024; its gradient [N, 3]."""
+        """The loss of ``points`` [N, 3], as if the cloud had 1,024 points; its gradient [N, 3]."""
         projected, visible = _visible(points, self.photo)
         values, by_x, by_y = _sampled(self.detail, projected.points_px)
-        # In units of the cloud's colours, so that the exposure of a photo does not change its weight.
+        # In units of the cloud's colours, so that the exposure of a photo does not change its
+        # weight.
         difference = np.where(visible[:, None], (values - self.expected) / self.exposure, 0.0)
-        cost, slope = robust(np.square(difference).sum(1), ROBUST_SCALE)
-        factor = self.photo.weight * WEIGHT * self.agreement * REFERENCE_POINTS / len(points)
+        cost, slope = robust(np.square(difference).sum(1), COLOUR_ROBUST_SCALE)
+        factor = self.photo.weight * COLOUR_WEIGHT * self.agreement * REFERENCE_POINTS / len(points)
         by_value = (2.0 * factor * slope)[:, None] * difference / self.exposure
         gradient_px = np.stack([(by_value * by_x).sum(1), (by_value * by_y).sum(1)], 1)
         return factor * float(cost.sum()), projected.pull_back(gradient_px)
 
 
 def _visible(points: Array, photo: Photo) -> tuple[Projected, NDArray[np.bool_]]:
-    """The projection of ``points`` [N, 3], and which are on the mask and nearest to the camera, [N]."""
+    """The projection of ``points`` [N, 3], and which of them are visible on the mask, [N]."""
     projected = project(points, photo.camera)
     depth = points @ photo.camera.R[2] + photo.camera.t[2]
     height, width = photo.inside.shape
@@ -111,7 +121,10 @@ def _visible(points: Array, photo: Photo) -> tuple[Projected, NDArray[np.bool_]]
 
 
 def _sampled(image: Array, points_px: Array) -> tuple[Array, Array, Array]:
-    """``image`` [H, W, C] at ``points_px`` [N, 2], bilinear, beyond its border as there; its derivatives by x and y. [N, C]"""
+    """``image`` [H, W, C] at ``points_px`` [N, 2], and its derivatives by x and y: [N, C] each.
+
+    Values are interpolated bilinearly; outside the image they equal the border.
+    """
     last = np.array(image.shape[1::-1]) - 1.0
     place = np.clip(np.nan_to_num(points_px), 0.0, last)
     within = ((points_px > 0.0) & (points_px < last)).astype(float)
@@ -119,21 +132,22 @@ def _sampled(image: Array, points_px: Array) -> tuple[Array, Array, Array]:
     high = np.minimum(low + 1, last.astype(np.int64))
     right, down = (place - low)[:, :1], (place - low)[:, 1:]
     (x0, y0), (x1, y1) = low.T, high.T
-    top, bottom = (
-        image[y0, x0] * (1.0 - right) + image[y0, x1] * right,
-        image[y1, x0] * (1.0 - right) + image[y1, x1] * right,
-    )
+    top = image[y0, x0] * (1.0 - right) + image[y0, x1] * right
+    bottom = image[y1, x0] * (1.0 - right) + image[y1, x1] * right
     by_x = (image[y0, x1] - image[y0, x0]) * (1.0 - down) + (image[y1, x1] - image[y1, x0]) * down
     return top * (1.0 - down) + bottom * down, by_x * within[:, :1], (bottom - top) * within[:, 1:]
 
 
 def _detail(image: Array, weight: Array, sigma: float) -> Array:
-    """A difference of Gaussians, of standard deviations ``sigma`` px and four times that."""
-    return _blurred(image, weight, sigma) - _blurred(image, weight, COARSE * sigma)
+    """A Gaussian blur of standard deviation ``sigma`` px, minus a blur of four times this."""
+    return _blurred(image, weight, sigma) - _blurred(image, weight, COARSE_BLUR * sigma)
 
 
 def _blurred(image: Array, weight: Array, sigma: float) -> Array:
-    """Gaussian blur of ``image`` [H, W, 3] among pixels of positive ``weight`` [H, W]; 0 far from all of them."""
+    """Gaussian blur of ``image`` [H, W, 3] over pixels weighted by ``weight`` [H, W].
+
+    It is 0 far from all pixels of positive weight.
+    """
     both = np.concatenate([image * weight[..., None], weight[..., None]], 2)
     for axis in (0, 1):
         along = np.arange(both.shape[axis])

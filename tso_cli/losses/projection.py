@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.arrays import Array
 from ..geometry.camera import NEAR, Camera
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,18 +17,22 @@ class Projected:
 
     Attributes
     ----------
-    points_px : [N, 2] column, row; finite for invalid points too.
-    valid : [N] bool, False for points at or behind a perspective camera; all points of an orthographic one are valid.
+    points_px : [N, 2] column and row; finite for invalid points too.
+    valid : [N] bool, False for points at or behind a perspective camera. All points of an
+        orthographic camera are valid.
     """
 
     points_px: Array
     valid: NDArray[np.bool_]
     camera: Camera
-    plane: Array  # [N, 2], on the plane of depth 1
+    plane: Array  # [N, 2] the points on the plane of depth 1
     inverse_depth: Array  # [N], 0 for invalid points
 
     def in_camera(self, gradient_px: Array) -> Array:
-        """The gradient [N, 3] by points in the camera's frame, from that by ``points_px`` [N, 2]; 0 for invalid points."""
+        """The gradient [N, 3] by points in the camera's frame, from the gradient by ``points_px``.
+
+        It is 0 for invalid points.
+        """
         gradient = np.empty((len(gradient_px), 3), gradient_px.dtype)
         on_plane = gradient_px @ self.camera.K[:2, :2]
         gradient[:, :2] = on_plane * self.inverse_depth[:, None]
@@ -39,13 +42,13 @@ class Projected:
         return gradient
 
     def pull_back(self, gradient_px: Array) -> Array:
-        """The gradient [N, 3] by the world's points, from that by ``points_px`` [N, 2]."""
+        """The gradient [N, 3] by points in the world, from the gradient [N, 2] by ``points_px``."""
         gradient: Array = self.in_camera(gradient_px) @ self.camera.R
         return gradient
 
 
 def project(points: Array, camera: Camera) -> Projected:
-    """Eq. 1, ``p^ = K (R p + t)``, with the perspective division it implies; ``points`` [N, 3]."""
+    """Eq. 1, ``p^ = K (R p + t)``, with its perspective division; ``points`` [N, 3]."""
     in_camera = points @ camera.R.T + camera.t
     plane, depth = in_camera[:, :2], in_camera[:, 2]
     if camera.model == "perspective":
@@ -63,7 +66,10 @@ def project(points: Array, camera: Camera) -> Projected:
 def pixels_under(
     points_px: Array, valid: NDArray[np.bool_], height: int, width: int
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The pixels ``row * width + column`` that points fall on [N], 0 outside the image, and whether they fall inside."""
+    """The pixel ``row * width + column`` of each point, and whether it is in the image: [N] each.
+
+    The pixel of a point outside the image is 0.
+    """
     pixel = np.rint(points_px)
     in_image = valid & (pixel >= 0).all(1) & (pixel < (width, height)).all(1)
     column, row = np.where(in_image[:, None], pixel, 0.0).astype(np.int64).T

@@ -1,4 +1,4 @@
-"""The paper's silhouette (Eq. 2, 3) and its cross-entropy with a mask (Eq. 4): value and gradient by projected points."""
+"""The paper's silhouette (Eq. 2, 3), and its cross-entropy with a mask (Eq. 4)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.arrays import Array
 from ..geometry.camera import Camera
 from ..geometry.resampling import area_resize
 from ..kernels.dispatch import use_compiled
@@ -15,17 +16,20 @@ from .mask_chamfer import REFERENCE_SIDE
 from .nearest import nearest
 from .projection import project
 
-Array = NDArray[np.float64]
-
+# Variance of the paper's Gaussians, px^2 of a 64x64 grid.
+PAPER_SIGMA_SQ = 0.4
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
 SMOOTH_SIGMA_SQ = 6.4
-# Points that `silhouette_of` draws at once; bounds its memory.
+# Under this exponent a Gaussian is denormal (under 1e-300), and products of denormals are ten times
+# slower.
+LEAST_EXPONENT = -700.0
+# Points that `silhouette_of` draws at once; it bounds the memory.
 POINTS_AT_ONCE = 1 << 13
 
 
 def default_sigma_sq(width: int, height: int) -> float:
-    """The paper's 0.4 px^2 of a 64x64 grid, for an image of another size."""
-    return 0.4 * (max(width, height) / 64.0) ** 2
+    """The paper's variance, 0.4 px^2 of a 64x64 grid, in px^2 of an image of another size."""
+    return PAPER_SIGMA_SQ * (max(width, height) / REFERENCE_SIDE) ** 2
 
 
 def silhouette_sums(
@@ -38,11 +42,13 @@ def silhouette_sums(
 
 
 def _weights(points_px: Array, height: int, width: int, sigma_sq: float) -> tuple[Array, Array]:
-    """The Gaussians' factors [N, W] along x and [N, H] along y: the sum over points of their product is a matrix product."""
+    """The factors of the Gaussians along x [N, W] and along y [N, H].
+
+    The sum over points of the factors' products is a matrix product.
+    """
     steps = (np.arange(width) - points_px[:, :1], np.arange(height) - points_px[:, 1:])
-    # Below this the value is denormal, and a product of denormals is ten times slower; the true value is under 1e-300.
     along_x, along_y = (
-        np.exp(np.maximum(np.square(step) * (-0.5 / sigma_sq), -700.0)) for step in steps
+        np.exp(np.maximum(np.square(step) * (-0.5 / sigma_sq), LEAST_EXPONENT)) for step in steps
     )
     return along_x, along_y
 
@@ -54,11 +60,12 @@ def silhouette_bce(
     background: Array,
     sigma_sq: float,
 ) -> tuple[float, Array]:
-    """Binary cross-entropy between mask and silhouette (Eq. 4), computed from the sum s and not from tanh(s).
+    """Binary cross-entropy of mask and silhouette (Eq. 4), from the sum s and not from tanh(s).
 
-    ``-log(1 - tanh s) = softplus(2 s) - log 2`` neither overflows nor loses its gradient where many points stack. At mask
-    pixels whose sum is negligible (under 1e-8), s is that of the nearest projected point alone,
-    ``log s = -d^2 / (2 sigma^2)``: far pixels attract too, and attract the right point.
+    ``-log(1 - tanh s) = softplus(2 s) - log 2`` neither overflows nor loses its gradient where many
+    points lie on one pixel. Where the sum at a mask pixel is negligible (under 1e-8), s is the
+    value of the nearest projected point alone, ``log s = -d^2 / (2 sigma^2)``. So far pixels
+    attract a point too, and it is the nearest one.
 
     Parameters
     ----------
@@ -67,7 +74,8 @@ def silhouette_bce(
 
     Returns
     -------
-    The sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution; its gradient [N, 2].
+    The sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution. Its
+    gradient [N, 2].
     """
     height, width = foreground.shape
     share = REFERENCE_SIDE**2 / (width * height)
@@ -84,8 +92,8 @@ def silhouette_bce(
     safe = np.where(covered, s, 1.0)
     power = np.exp(-2.0 * safe)
     missed = np.log1p(power) - np.log(-np.expm1(-2.0 * safe))  # -log tanh s
-    stray = np.logaddexp(0.0, 2.0 * s) - math.log(2.0)
-    value = float((np.where(covered, missed, 0.0) * foreground + stray * background).sum())
+    extra = np.logaddexp(0.0, 2.0 * s) - math.log(2.0)  # -log(1 - tanh s)
+    value = float((np.where(covered, missed, 0.0) * foreground + extra * background).sum())
     # d(-log tanh s) / ds = -2 / sinh(2 s)
     by_sum = 2.0 * background / (1.0 + np.exp(-2.0 * s))
     by_sum -= np.where(covered, foreground * 4.0 * power / -np.expm1(-4.0 * safe), 0.0)
@@ -111,11 +119,12 @@ def silhouette_bce(
 def silhouette_of(
     points: Array, camera: Camera, sigma_sq: float | None = None
 ) -> NDArray[np.float32]:
-    """The silhouette [H, W] in [0, 1] of a cloud [N, 3] in world units as the paper's projector draws it (Eq. 2).
+    """The silhouette [H, W] in [0, 1] of a cloud [N, 3], as the paper's projector draws it (Eq. 2).
 
-    Where the Gaussian spans many pixels, the sums are computed on a coarser grid (variance 6.4 cells^2) and interpolated:
-    within 0.04 of the value at each pixel, at a cost that does not grow with the photo. ``sigma_sq`` is in px^2 of the
-    camera's image, by default 0.4 (max(W, H) / 64)^2.
+    If the Gaussian spans many pixels, the sums are computed on a coarser grid (variance 6.4
+    cells^2) and interpolated. The result is within 0.04 of the exact value at each pixel, and the
+    cost does not grow with the photo. ``sigma_sq`` is in px^2 of the camera's image, by default 0.4
+    (max(W, H) / 64)^2.
     """
     height, width = camera.height, camera.width
     if sigma_sq is None:
@@ -138,13 +147,10 @@ def silhouette_of(
 
 
 def _coarsened(camera: Camera, sigma_sq: float) -> tuple[Camera, float]:
-    """The camera on a grid so coarse that ``sigma_sq`` (px^2) is at most about 6.4 there, and its value there."""
+    """The camera of a grid on which ``sigma_sq`` is at most about 6.4, and its value there."""
     if sigma_sq <= SMOOTH_SIGMA_SQ:
         return camera, sigma_sq
     shrink = math.sqrt(SMOOTH_SIGMA_SQ / sigma_sq)
-    coarse = camera.resized(
-        max(1, round(camera.width * shrink)), max(1, round(camera.height * shrink))
-    )
-    return coarse, sigma_sq * (
-        max(coarse.width, coarse.height) / max(camera.width, camera.height)
-    ) ** 2
+    width, height = (max(1, round(side * shrink)) for side in (camera.width, camera.height))
+    ratio = max(width, height) / max(camera.width, camera.height)
+    return camera.resized(width, height), sigma_sq * ratio**2

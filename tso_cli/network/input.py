@@ -1,4 +1,4 @@
-"""Network input from a photo: the crop used by training and by refinement alike."""
+"""The network's input from a photo: the same crop in training and in refinement."""
 
 from __future__ import annotations
 
@@ -8,23 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Box
 from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera
-from ..geometry.resampling import Box, area_resize
+from ..geometry.resampling import area_resize
 from ..geometry.view import View
 
 BACKGROUNDS = ("black", "white", "keep")
-WHOLE = 64.0 * CANONICAL_DISTANCE / CANONICAL_FOCAL_AT_64
-"""Side of the square that the canonical camera sees at the object's distance, in units of the cloud: 1.07."""
+# Side of the square that the canonical camera sees at the object's distance, in units of the cloud:
+# 1.07.
+CANONICAL_SIDE = 64.0 * CANONICAL_DISTANCE / CANONICAL_FOCAL_AT_64
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkInput:
-    """The network's input, and the crop's mask and camera, which losses compare with.
+    """The network's input, and the mask and camera of the crop, which losses compare with.
 
     image : float32 [3, size, size] in [0, 1].
-    mask : float32 [size, size] in [0, 1], the photo's mask resampled the same way; 0 where it is not known.
-    camera : the photo's camera, cropped the same way.
-    known : bool [size, size], False where more than half of the pixel lies outside the photo or is ignored.
+    mask : float32 [size, size] in [0, 1], the photo's mask, resampled like the photo; 0 where it is
+        unknown.
+    camera : the photo's camera, cropped like the photo.
+    known : bool [size, size], False where more than half of a pixel lies outside the photo or is
+        ignored.
     """
 
     image: NDArray[np.float32]
@@ -38,7 +42,7 @@ class NetworkInput:
 
 
 def crop_box(mask_box: Box, crop_share: float) -> Box:
-    """The square around ``mask_box`` whose side is the box's longer side divided by ``crop_share``."""
+    """The square around ``mask_box``: its side is the box's longer side over ``crop_share``."""
     left, top, right, bottom = (float(edge) for edge in mask_box)
     half = max(right - left, bottom - top) / crop_share / 2.0
     u, v = (left + right) / 2.0, (top + bottom) / 2.0
@@ -46,17 +50,19 @@ def crop_box(mask_box: Box, crop_share: float) -> Box:
 
 
 def whole_box(camera: Camera, name: str = "mask") -> Box:
-    """The square of the photo that shows `WHOLE` units around the world's origin, as the canonical camera does.
+    """The square of the photo that shows `CANONICAL_SIDE` units around the world's origin.
 
-    Like the whole pictures that CAPNet trains with, it shows the object's size. InputError if the origin is not in front.
+    The canonical camera shows the same square. Like the uncropped pictures that CAPNet trains with,
+    it shows the size of the object. Raises InputError if the origin is not in front of the camera.
     """
     depth = float(camera.t[2]) if camera.model == "perspective" else 1.0
     if depth <= 0.0:
         raise InputError(
-            f"{name}: the camera has the object at depth {camera.t[2]:g}, expected it in front (> 0)"
+            f"{name}: the camera has the object at depth {camera.t[2]:g}, "
+            "expected it in front (> 0)"
         )
     u, v = (camera.K[:2, :2] @ camera.t[:2] / depth + camera.K[:2, 2]).tolist()
-    half = 0.5 * WHOLE * float(camera.K[0, 0]) / depth
+    half = 0.5 * CANONICAL_SIDE * float(camera.K[0, 0]) / depth
     return u - half, v - half, u + half, v + half
 
 
@@ -72,18 +78,21 @@ def network_input(
     Parameters
     ----------
     image : [H, W, 3] or [H, W, 4].
-    view : mask [H, W] and camera of the photo. size : pixels of the network's input along each side.
-    crop_share : the longer side of the object's box is this share of the crop's (`crop_box`); 0 takes `whole_box`.
-    background : "black" or "white" puts the object, cut out by its mask, on that colour; "keep" leaves the photo as it
-        is. Transparent parts and what lies outside the photo then are black.
+    view : mask [H, W] and camera of the photo.
+    size : pixels of the network's input along each side.
+    crop_share : longer side of the object's box over the side of the crop (`crop_box`); 0 takes
+        `whole_box`.
+    background : "black" and "white" cut out the object by its mask and put it on this colour.
+        "keep" leaves the photo as it is; then transparent pixels and pixels outside the photo are
+        black.
 
-    Raises InputError if sizes of image and mask differ, or the crop misses the object.
+    Raises InputError if the sizes of image and mask differ, or if the crop misses the object.
     """
     height, width = view.mask.shape
     if image.shape[:2] != (height, width):
         raise InputError(
-            f"{view.name}: the image is {image.shape[1]}x{image.shape[0]}, the mask {width}x{height} (width x height), "
-            "expected the same"
+            f"{view.name}: the image is {image.shape[1]}x{image.shape[0]}, "
+            f"the mask {width}x{height} (width x height), expected the same size"
         )
     box = crop_box(view.box(), crop_share) if crop_share else whole_box(view.camera, view.name)
 
@@ -109,8 +118,9 @@ def network_input(
     known = known_share >= 0.5
     if not crop_share and not (cropped[known] > 0.5).any():
         raise InputError(
-            f"{view.name}: nothing of the object lies in the {WHOLE:.2f} units around the world's origin that the network "
-            "sees, expected a camera in the scale of its training set"
+            f"{view.name}: nothing of the object lies in the {CANONICAL_SIDE:.2f} units around the "
+            "world's origin that the network sees, expected a camera in the scale of the "
+            "training set"
         )
     return NetworkInput(
         image=np.ascontiguousarray(np.clip(values, 0.0, 1.0).transpose(2, 0, 1), dtype=np.float32),

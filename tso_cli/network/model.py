@@ -1,4 +1,7 @@
-"""The base network, which predicts a cloud from a photo; layers as in tables 1 and 2 of the paper's supplement."""
+"""The base network, which predicts a cloud from a photo.
+
+Tables 1 and 2 of the paper's supplement list its layers.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ LATENT = 128
 IMAGE_SIZE = 64
 FRAMES = ("view", "canonical")
 SUPERVISIONS = ("points", "masks", "joint")
-# (output channels, filter size, stride); 64x64 shrinks to 4x4.
+# (output channels, filter size, stride) of each layer. An image of 64x64 shrinks to 4x4.
 CONVOLUTIONS = (
     (32, 3, 1), (32, 3, 1), (64, 3, 2), (64, 3, 1), (64, 3, 1), (128, 3, 2),
     (128, 3, 1), (128, 3, 1), (256, 3, 2), (256, 3, 1), (256, 3, 1), (512, 5, 2),
@@ -22,15 +25,17 @@ CONVOLUTIONS = (
 
 @dataclass(frozen=True)
 class NetworkConfig:
-    """What a checkpoint says of its network.
+    """What a checkpoint says about its network.
 
-    points : N, size of the predicted cloud. image_size : side of the input image in pixels; always 64.
+    points : N, size of the predicted cloud.
+    image_size : side of the input image in pixels; always 64.
     frame : "view" (x right, y up, z toward the viewer) or "canonical" (the frame of the objects).
     sigma_sq : variance of the projection kernel, px^2 of a 64x64 mask.
-    crop_share, background : of `network_input`; with a share of 0 clouds are in the scale of the training set instead of
-        longest side 1.
+    crop_share, background : arguments of `network_input`. With a share of 0, clouds have the scale
+        of the training set instead of longest side 1.
     supervision : "points" (3D, PSGN-FC), "masks" (2D) or "joint".
-    training_set, seed, steps, settings : of the training run. version : of tso.
+    training_set, seed, steps, settings : of the training.
+    version : of tso.
     """
 
     points: int = 1024
@@ -83,7 +88,7 @@ class Decoder(nn.Module):
 
 
 class BaseNetwork(nn.Module):
-    """Encoder and decoder: images [B, 3, 64, 64] float in [0, 1] -> points [B, N, 3] in a cube of side 2."""
+    """Encoder and decoder: images [B, 3, 64, 64] in [0, 1] -> points [B, N, 3] in [-1, 1]^3."""
 
     def __init__(self, encoder: Encoder, decoder: Decoder) -> None:
         super().__init__()
@@ -95,13 +100,15 @@ class BaseNetwork(nn.Module):
 
 
 def build_network(points: int = 1024, seed: int = 0) -> BaseNetwork:
-    """A new network with He initialisation from ``seed`` alone; torch's global random state is neither read nor changed.
+    """A new network with He initialisation from ``seed`` alone.
 
-    Weights have variance 2 / fan-in before a ReLU, 1 / fan-in elsewhere; biases are zero. Torch's default has a sixth of that
-    variance, which shrinks the gradient by 2.4 a layer: the first convolution gets 1e-5 of the last layer's, and outputs
-    differ by 2e-7 between images, too little to start training at a rate of 5e-5.
+    The global random state of torch is neither read nor changed. Weights have variance 2 / fan-in
+    before a ReLU and 1 / fan-in in other layers; biases are 0. Torch's default has a sixth of this
+    variance. It shrinks the gradient by 2.4 in each layer: the first convolution gets 1e-5 of the
+    gradient of the last layer, and outputs differ by 2e-7 between images. This is too little to
+    start training at a rate of 5e-5.
     """
-    # On "meta" torch draws no weights of its own from the global generator.
+    # On the device "meta" torch draws no weights from the global generator.
     with torch.device("meta"):
         network = BaseNetwork(Encoder(), Decoder(points))
     network = network.to_empty(device="cpu")

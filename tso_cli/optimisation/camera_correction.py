@@ -1,4 +1,4 @@
-"""Corrections of given cameras, found together with the points and kept where they explain a misfit."""
+"""Corrections of given cameras, found with the points, kept where they explain a misfit."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..geometry.arrays import Array, Box
 from ..geometry.camera import Camera
 from ..geometry.rotations import cross_product_matrix, from_vectors
 from ..geometry.view import View
@@ -15,64 +16,68 @@ from ..geometry.window import window_around, window_of
 from ..losses.chamfer import ChamferToStart
 from ..losses.projection import project
 from ..losses.silhouette import silhouette_bce
-from ..refinement.config import Settings
 from .adam import Adam
-from .loop import StepDown, descend
-from .objective import Array, MaskChamferObjective, ViewTargets
-from .presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_STEPS
+from .loop import minimise
+from .objective import MaskChamferObjective, ViewTargets
+from .presets import PAPER_POINTS
 from .problem import Problem
 from .resampled_view import ResampledView, resample_view
 
-# A correction is kept if it alone reduces the start's misfit in its view to less than this share: the silhouette of a wrong
-# shape asks for corrections of a right camera too, but no camera makes a wrong shape fit.
+# A correction is kept if it alone leaves less than this share of the start's misfit in its view.
+# The silhouette of a wrong shape asks for corrections of a right camera too, but no camera makes
+# a wrong shape fit.
 MISFIT_LEFT = 0.38
-# The misfit is the mask Chamfer loss at this robust scale, cells; unlike the silhouette's it is near 0 for a cloud that fits.
-ROBUST_SCALE = 4.0
-# Prior standard deviations of a given camera's error: rotation about the cloud, and shift in distances to it.
+# The misfit is the mask Chamfer loss at this robust scale, in cells. Unlike the silhouette's loss
+# it is near 0 for a cloud that fits.
+MISFIT_ROBUST_SCALE = 4.0
+# Prior standard deviations of the error of a given camera: rotation about the cloud, and shift in
+# distances to the cloud.
 TURN = math.radians(2.0)
 SHIFT = 0.01
-# Loss of a correction of one standard deviation: a wrong cloud asks for corrections that its camera does not need.
-WEIGHT = 30.0
+# Loss of a correction by one standard deviation: a wrong cloud asks for corrections that its
+# camera does not need.
+CORRECTION_WEIGHT = 30.0
 # Of Adam: 50 steps rotate a camera by at most 5 degrees.
 LEARNING_RATE = 2e-3
 
 
-def corrected_cameras(problem: Problem, settings: Settings, until: float) -> tuple[Problem, bool]:
-    """The problem with the cameras corrected that need it, and whether Ctrl-C left them as they were; ``until`` as `descend`.
+def corrected_cameras(problem: Problem, until: float) -> Problem:
+    """The problem with the cameras corrected that need it; ``until`` as in `minimise`.
 
-    Points and cameras move together with the paper's settings. The points are held near their start, which separates a motion
-    of all points from one of the camera; the cameras near the given ones. A correction is kept if with it the start
-    itself fits the view's mask far better (`MISFIT_LEFT`). The points' motion is discarded.
+    Points and cameras move together with the paper's settings. The points are held near their
+    start, which separates a motion of all points from a motion of the camera. The cameras are held
+    near the given ones. A correction is kept if with it the start itself fits the view's mask far
+    better (`MISFIT_LEFT`). The displacement of the points is discarded.
+
+    Raises KeyboardInterrupt where Ctrl-C ended the optimisation.
     """
     cloud = problem.cloud
-    initial = cloud.normalised()
+    count = len(cloud.start)
     # Without the flipped views: the mirror image of a wrong camera is wrong as well.
-    objective = _WithCameras(problem.resampled[: len(problem.views)], initial)
-    descent = descend(
-        _PointsAndCameras(initial, len(problem.views)), objective, PAPER_STEPS, until=until
+    given = [windowed.resampled for windowed in problem.given]
+    parameters = _PointsAndCameras(cloud.start, len(given))
+    optimised = minimise(
+        parameters, _WithCameras(given, cloud.start), PAPER_POINTS.steps, until=until
     )
-    if descent.interrupted:
-        return problem, True
-    corrections = descent.best[len(initial) :].reshape(-1, 6)
+    if optimised.interrupted:
+        raise KeyboardInterrupt
+    corrections = optimised.best[count:].reshape(-1, 6)
     views = []
-    for view, given, correction in zip(problem.views, objective.views, corrections, strict=True):
-        corrected = replace(
-            view, camera=moved_camera(view.camera, correction, cloud.centre, cloud.scale)
-        )
-        box = window_around(given.box, window_of(corrected, cloud.initial))
-        before, after = (_misfit(problem, given, candidate, box) for candidate in (view, corrected))
+    for view, resampled, correction in zip(problem.views, given, corrections, strict=True):
+        camera = moved_camera(view.camera, correction, cloud.centre, cloud.scale)
+        corrected = replace(view, camera=camera)
+        box = window_around(resampled.box, window_of(corrected, cloud.control_points))
+        before, after = (_misfit(problem, candidate, box) for candidate in (view, corrected))
         views.append(corrected if after < MISFIT_LEFT * before else view)
-    return problem.with_views(tuple(views), settings), False
+    return problem.with_views(views)
 
 
-def _misfit(
-    problem: Problem, given: ResampledView, view: View, box: tuple[float, float, float, float]
-) -> float:
-    """Of the start by ``view``, in a window that holds the cloud as either camera sees it, since the misfit is in cells."""
-    resampled = resample_view(view, given.sigma_sq, problem.cloud.centre, problem.cloud.scale, box)
-    return MaskChamferObjective(ViewTargets.of([resampled], [1.0]), ROBUST_SCALE)(
-        problem.cloud.normalised()
-    )[0]
+def _misfit(problem: Problem, view: View, box: Box) -> float:
+    """Of the start by ``view``, in a window that holds the cloud as either camera sees it."""
+    cloud = problem.cloud
+    resampled = resample_view(view, problem.sigma_sq, cloud.centre, cloud.scale, box)
+    objective = MaskChamferObjective(ViewTargets.of([resampled], [1.0]), MISFIT_ROBUST_SCALE)
+    return objective(cloud.start)[0]
 
 
 class _PointsAndCameras:
@@ -81,18 +86,18 @@ class _PointsAndCameras:
     def __init__(self, initial: Array, views: int) -> None:
         self._rows = np.concatenate([initial, np.zeros((2 * views, 3))])
         rates = np.full((len(self._rows), 1), LEARNING_RATE)
-        rates[: len(initial)] = PAPER_LEARNING_RATE["points"]
+        rates[: len(initial)] = PAPER_POINTS.learning_rate
         self._rates, self._adam = rates, Adam(1.0)
 
-    def forward(self) -> tuple[Array, StepDown]:
-        return self._rows, self._step
+    def points(self) -> Array:
+        return self._rows
 
-    def _step(self, gradient: Array) -> None:
+    def step(self, gradient: Array) -> None:
         self._rows = self._rows + self._rates * self._adam.step(gradient)
 
 
 class _WithCameras:
-    """Eq. 7 of the points, with cameras that move and are held near the given ones by a quadratic penalty; K stays."""
+    """Eq. 7 of the points, with cameras that a quadratic penalty holds near the given ones."""
 
     def __init__(self, views: Sequence[ResampledView], initial: Array) -> None:
         self.views = views
@@ -104,29 +109,29 @@ class _WithCameras:
         points = rows[:count]
         gradient = np.zeros_like(rows)
         value, by_points = self._chamfer(points)
-        value *= PAPER_GAMMA["points"]
-        gradient[:count] = PAPER_GAMMA["points"] * by_points
+        value *= PAPER_POINTS.gamma
+        gradient[:count] = PAPER_POINTS.gamma * by_points
         for number, view in enumerate(self.views):
             turn, shift = count + 2 * number, count + 2 * number + 1
             loss, by_points, by_turn, by_shift = moved_silhouette(
                 points, view, rows[turn], rows[shift]
             )
-            value += loss + WEIGHT * float(
-                np.square(rows[turn] / TURN).sum() + np.square(rows[shift] / SHIFT).sum()
-            )
+            penalty = np.square(rows[turn] / TURN).sum() + np.square(rows[shift] / SHIFT).sum()
+            value += loss + CORRECTION_WEIGHT * float(penalty)
             gradient[:count] += by_points
-            gradient[turn] = by_turn + 2.0 * WEIGHT / TURN**2 * rows[turn]
-            gradient[shift] = by_shift + 2.0 * WEIGHT / SHIFT**2 * rows[shift]
+            gradient[turn] = by_turn + 2.0 * CORRECTION_WEIGHT / TURN**2 * rows[turn]
+            gradient[shift] = by_shift + 2.0 * CORRECTION_WEIGHT / SHIFT**2 * rows[shift]
         return value, gradient
 
 
 def moved_silhouette(
     points: Array, view: ResampledView, turn: Array, shift: Array
 ) -> tuple[float, Array, Array, Array]:
-    """The silhouette's cross-entropy by a corrected camera, and its gradients by points, rotation vector and shift.
+    """The silhouette's cross-entropy by a corrected camera.
 
-    The rotation, in radians and the camera's axes, is about the cloud's centre, which separates it from the shift, in
-    distances to that centre.
+    Also its gradients by points, rotation vector and shift. The rotation, in radians and the
+    camera's axes, is about the cloud's centre, which separates it from the shift. The shift is in
+    distances to the centre.
     """
     camera = view.camera
     distance = distance_of(camera)
@@ -159,7 +164,10 @@ def distance_of(camera: Camera) -> float:
 
 
 def moved_camera(camera: Camera, values: Array, centre: Array, scale: float) -> Camera:
-    """``camera``, in the units of a file, after the correction [6] found for the cloud normalised by (X - centre) / scale."""
+    """``camera``, in the units of a file, after a correction [6].
+
+    The correction was found for the cloud normalised by (X - centre) / scale.
+    """
     turn, shift = values[:3], values[3:]
     if not values.any():
         return camera

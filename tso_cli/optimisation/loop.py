@@ -9,38 +9,38 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import is_interrupt
+from ..geometry.arrays import Array
 
-Array = NDArray[np.float64]
 Progress = Callable[[int, int, float], None]
 """Called with (step, steps, loss)."""
 Term = Callable[[Array], tuple[float, Array]]
 """The value of a loss at points [N, 3], and its gradient [N, 3]."""
 
 
-StepDown = Callable[[Array], None]
-"""Takes one step down a loss, by its gradient [N, 3] at the points that came with this function."""
-
-
 class Parameters(Protocol):
     """What moves points."""
 
-    def forward(self) -> tuple[Array, StepDown]:
-        """The points [N, 3], and the step from there."""
+    def points(self) -> Array:
+        """The points [N, 3] by the parameters as they are."""
+
+    def step(self, gradient: Array) -> None:
+        """Change the parameters by one step, by the gradient [N, 3] at the last `points`."""
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
-    """The result of a descent.
+class Optimised:
+    """What an optimisation found.
 
     Attributes
     ----------
     best : [N, 3], the iterate with the lowest loss. best_step : its step.
-    losses : at the start and after every step; the last is NaN where points or loss were not finite.
-    interrupted : Ctrl-C ended it. out_of_time : its time did.
-    first_loss, best_loss : of the start and of ``best``. stages : the best of each stage, [N, 3]; objective : of the last.
+    losses : at the start and after every step; the last is NaN where points or loss were not
+        finite.
+    interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
+    first_loss, best_loss : of the start and of ``best``.
+    stages : the best iterate of each stage, [N, 3]. objective : of the last stage.
     """
 
     best: Array
@@ -53,10 +53,15 @@ class Descent:
     objective: Term | None = None
     out_of_time: bool = False
 
+    @property
+    def steps(self) -> int:
+        """Steps that were taken and had a finite loss."""
+        return int(np.isfinite(self.losses).sum()) - 1
+
 
 def offset_progress(on_progress: Progress, done: int, total: int) -> Progress:
-    """Reports the steps of a part after ``done`` of ``total`` steps."""
-    return lambda step, _steps_of_part, loss: on_progress(done + step, total, loss)
+    """Reports the steps of a stage, which begins after ``done`` of ``total`` steps."""
+    return lambda step, _steps_of_stage, loss: on_progress(done + step, total, loss)
 
 
 def sum_of(terms: list[Term]) -> Term:
@@ -72,27 +77,29 @@ def sum_of(terms: list[Term]) -> Term:
     return total
 
 
-def descend(
+def minimise(
     parameters: Parameters,
     objective: Term,
     steps: int,
     on_progress: Progress | None = None,
     until: float = math.inf,
-) -> Descent:
+) -> Optimised:
     """Minimise ``objective`` by ``parameters`` in ``steps`` steps.
 
-    There are fewer where the loss is 0, points or loss are not finite, or ``until`` has passed (`time.perf_counter`).
+    The loop ends early where the loss is 0, points or loss are not finite, or ``until`` has passed
+    (`time.perf_counter`).
 
-    Raises KeyboardInterrupt before the loss of the start is known; later it ends the loop.
+    Raises KeyboardInterrupt before the loss of the start is known. Ctrl-C later ends the loop.
     """
-    best, lowest, best_step = parameters.forward()[0], np.inf, 0
+    best, lowest, best_step = parameters.points(), np.inf, 0
     losses: list[float] = []
     interrupted = out_of_time = False
     try:
         for step in range(steps + 1):
-            points, step_down = parameters.forward()
-            # Views do not see points that are not finite, and a search for their neighbours would fail.
-            value, gradient = objective(points) if np.isfinite(points).all() else (np.nan, points)
+            points = parameters.points()
+            # Views do not see points that are not finite, and a search for neighbours would fail.
+            finite = np.isfinite(points).all()
+            value, gradient = objective(points) if finite else (np.nan, points)
             losses.append(value if np.isfinite(value) else np.nan)
             if not np.isfinite(value):
                 break
@@ -105,18 +112,13 @@ def descend(
             if value == 0.0 or out_of_time:
                 break
             if step < steps:
-                step_down(gradient)
+                parameters.step(gradient)
     except (KeyboardInterrupt, SystemError) as error:
         if not losses or not is_interrupt(error):
             raise
         interrupted = True
-    # Ctrl-C may fall between the loss of the start and its being the lowest.
-    return Descent(
-        best,
-        best_step,
-        losses,
-        interrupted,
-        losses[0],
-        min(lowest, losses[0]),
-        out_of_time=out_of_time,
+    # Ctrl-C may come after the first loss is known and before it is the lowest.
+    lowest = min(lowest, losses[0])
+    return Optimised(
+        best, best_step, losses, interrupted, losses[0], lowest, out_of_time=out_of_time
     )

@@ -1,4 +1,4 @@
-"""What moves a network's prediction: its weights, or the latent vector between its halves (torch)."""
+"""What moves a prediction: the network's weights, or the vector between its halves (torch)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from torch import Tensor, nn
 from torch.optim.adam import adam
 
 from .. import device as devices
-from ..cloud.cloud import Cloud
+from ..cloud.cloud import Cloud, ControlledCloud
 from ..errors import InputError
+from ..geometry.arrays import Array
 from ..network.model import BaseNetwork
-from .loop import Array, StepDown
 
 
 class NetworkParameters:
@@ -41,38 +41,33 @@ class NetworkParameters:
             self._predict = network.decoder
             moving = [self._input]
         else:
-            moving = list(
-                (network.encoder if mode == "encoder" else network)
-                .requires_grad_(True)
-                .parameters()
-            )
+            part = network.encoder if mode == "encoder" else network
+            moving = list(part.requires_grad_(True).parameters())
         self._optimiser = TorchAdam(moving, learning_rate)
         with torch.no_grad():
-            self.cloud = Cloud(
-                self._predict(self._input)[0], "the network's prediction", predicted=True
-            )
+            prediction = self._predict(self._input)[0]
+        cloud = Cloud(prediction, "the network's prediction", predicted=True)
+        self.cloud: ControlledCloud = cloud.controlled()
 
-    def forward(self) -> tuple[Array, StepDown]:
-        """The predicted cloud [N, 3], normalised as it was at the start, and the step of the weights by its gradient."""
-        prediction = self._predict(self._input)[0]
+    def points(self) -> Array:
+        """The predicted cloud [N, 3], normalised as it was at the start."""
+        self._prediction = self._predict(self._input)[0]
+        prediction: Array = self._prediction.detach().cpu().numpy().astype(np.float64)
+        return self.cloud.normalise(prediction)
 
-        def step(gradient: Array) -> None:
-            by_prediction = torch.as_tensor(gradient / self.cloud.scale).to(prediction)
-            self._optimiser.apply(
-                torch.autograd.grad(prediction, self._optimiser.parameters, by_prediction)
-            )
-
-        points: Array = (
-            prediction.detach().cpu().numpy().astype(np.float64) - self.cloud.centre
-        ) / self.cloud.scale
-        return points, step
+    def step(self, gradient: Array) -> None:
+        """One step of the moving numbers, by the gradient [N, 3] at the last `points`."""
+        prediction = self._prediction
+        by_prediction = torch.as_tensor(gradient / self.cloud.scale).to(prediction)
+        moving = self._optimiser.parameters
+        self._optimiser.apply(torch.autograd.grad(prediction, moving, by_prediction))
 
 
 class TorchAdam:
     """Adam with torch's defaults: betas (0.9, 0.999), eps 1e-8.
 
-    The first ``torch.optim.Optimizer`` imports torch's compiler, which takes 0.9 s; the function underneath does not. Its
-    fused form is two to five times faster, and equal but for rounding.
+    The first ``torch.optim.Optimizer`` imports torch's compiler, which takes 0.9 s. The function
+    underneath does not. Its fused form is two to five times faster, and equal up to rounding.
     """
 
     def __init__(self, parameters: list[Tensor], learning_rate: float) -> None:
@@ -107,5 +102,8 @@ class TorchAdam:
 
 
 def _laid_out_as(parameter: Tensor, grad: Tensor) -> Tensor:
-    """``grad`` with the strides of the parameter: the fused form would misread one that autograd expanded or transposed."""
+    """``grad`` with the strides of the parameter.
+
+    The fused form would misread a gradient that autograd expanded or transposed.
+    """
     return grad if grad.stride() == parameter.stride() else torch.empty_like(parameter).copy_(grad)

@@ -1,4 +1,10 @@
-"""Losses of a cloud by its views: functions of points [N, 3] that return value and gradient."""
+"""Losses of a cloud by its views: functions of points [N, 3] that return value and gradient.
+
+A mask on its way to a loss is a `View` (pixels of the image), a `ResampledView` (cells of the
+window around the object), a `MaskTarget` (what the loss looks up in the cells), a `ViewTarget`
+(the mask's and the depth map's targets with their camera and weight), and, where the work is worth
+it, a `CompiledView` (the same as contiguous arrays for the compiled loop).
+"""
 
 from __future__ import annotations
 
@@ -8,9 +14,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..cloud.smooth_field import SmoothField
+from ..geometry.arrays import Array
 from ..geometry.camera import NEAR, Camera
 from ..kernels.dispatch import use_compiled
 from ..losses.depth import DepthTarget, depth_loss
@@ -28,12 +34,13 @@ from .resampled_view import ResampledView
 if TYPE_CHECKING:
     from ..kernels.mask_chamfer_numba import CompiledView
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteObjective:
-    """Weighted sum over views of the silhouette's cross-entropy (Eq. 4); infinite where a view shows no point at all."""
+    """Weighted sum over views of the silhouette's cross-entropy (Eq. 4).
+
+    It is infinite where a view shows no point.
+    """
 
     views: Sequence[ResampledView]
     weights: Sequence[float]
@@ -49,7 +56,7 @@ class SilhouetteObjective:
 def silhouette_loss(points: Array, view: ResampledView, camera: Camera) -> tuple[float, Array]:
     """The cross-entropy by one view, and its gradient [N, 3]."""
     projected = project(points, camera)
-    # Without a visible point the loss would have no gradient: a cloud behind the camera would be perfect.
+    # Without a visible point there is no gradient: a cloud behind the camera would be perfect.
     if not projected.valid.any():
         return np.inf, np.zeros_like(points)
     value, gradient_px = silhouette_bce(
@@ -60,7 +67,7 @@ def silhouette_loss(points: Array, view: ResampledView, camera: Camera) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class ViewTarget:
-    """A view's mask and depth map, prepared for the losses; ``weight`` is that of its loss."""
+    """A view's mask and depth map, prepared for the losses, and the weight of the view's loss."""
 
     camera: Camera
     mask: MaskTarget
@@ -69,16 +76,14 @@ class ViewTarget:
 
     @classmethod
     def of(cls, view: ResampledView, weight: float) -> ViewTarget:
-        depth = (
-            None
-            if view.depth is None
-            else DepthTarget.of(view.depth, view.target.inside, view.camera)
-        )
+        depth = None
+        if view.depth is not None:
+            depth = DepthTarget.of(view.depth, view.target.inside, view.camera)
         return cls(view.camera, view.target, depth, weight)
 
     @cached_property
     def compiled(self) -> CompiledView:
-        """The mask and its camera for the compiled loop, contiguous: other arrays would be compiled anew."""
+        """For the compiled loop, in contiguous arrays: others would be compiled anew."""
         from ..kernels.mask_chamfer_numba import CompiledView
 
         camera, mask = self.camera, self.mask
@@ -93,7 +98,7 @@ class ViewTarget:
             nearest_in_column=np.ascontiguousarray(mask.nearest_in_column),
             bounds=np.array(mask.bounds),
             truncated=mask.truncated,
-            within=COVERED_WITHIN * mask.grain,
+            within=COVERED_WITHIN * mask.cells_per_mask_pixel,
             scale=mask.scale,
             reference_points=REFERENCE_POINTS,
         )
@@ -113,7 +118,7 @@ class ViewTargets:
 
     @cached_property
     def pixels(self) -> float:
-        """Foreground pixels and known depths of all views, of masks of 64, weighted like their losses."""
+        """Foreground pixels and known depths of all views, times their weights, in pixels of 64."""
         return sum(
             view.weight * (view.mask.pixels + (view.depth.pixels if view.depth else 0.0))
             for view in self.views
@@ -125,22 +130,26 @@ class ViewTargets:
         return all(view.mask.truncated for view in self.views)
 
     def resolvability(self, points: Array, field: SmoothField) -> list[Array]:
-        """For each view [N] in [0, 1], how well its mask resolves the part around each point: its node's neighbourhood."""
+        """For each view [N] in [0, 1], how well its mask resolves the part around each point.
+
+        A point takes the value of its node's neighbourhood.
+        """
         nodes = points[field.nodes]
-        return [
-            field.of_nearest_node(
-                resolvability(project(nodes, view.camera).points_px[field.patches], view.mask.grain)
+        found = []
+        for view in self.views:
+            patches = project(nodes, view.camera).points_px[field.patches]
+            found.append(
+                field.of_nearest_node(resolvability(patches, view.mask.cells_per_mask_pixel))
             )
-            for view in self.views
-        ]
+        return found
 
 
 @dataclass(frozen=True, eq=False)
 class MaskChamferObjective:
     """Weighted sum over views of `mask_chamfer`, and of `depth_loss` where views have depth maps.
 
-    ``robust_scale`` is in pixels of a mask of 64; without ``resolvability`` all parts count. Infinite where a view of some
-    weight shows no point at all.
+    ``robust_scale`` is in pixels of a mask of 64. Without ``resolvability`` all parts count. The
+    sum is infinite where a view whose weight is not 0 shows no point.
     """
 
     targets: ViewTargets
@@ -164,7 +173,7 @@ class MaskChamferObjective:
         return total, gradient, costs
 
     def _of_masks(self, points: Array) -> tuple[Array, Array, bool]:
-        """What each point adds, [N], the gradient [N, 3], and whether every view observes points."""
+        """What each point adds, [N], the gradient [N, 3], and whether all views observe points."""
         costs, gradient, observed = np.zeros(len(points)), np.zeros_like(points), True
         for number, view in enumerate(self.targets.views):
             if view.weight == 0.0:

@@ -1,52 +1,73 @@
-"""The numbers of both presets: "paper", as published, and "best", the default, chosen on validation shapes."""
+"""The numbers of both presets: "paper", as published, and "best", the default.
+
+The numbers of "best" were chosen on training and validation shapes.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+from ..cloud.smooth_field import CONTROL_POINTS
 
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 PRESETS = ("best", "paper")
 
-# The paper's steps, learning rates and gamma; its encoder variant has no Chamfer term. The latent variant is not the paper's.
-PAPER_STEPS = 50
-PAPER_LEARNING_RATE = {"points": 5e-4, "encoder": 1e-6, "encoder-decoder": 5e-6, "latent": 1e-3}
-PAPER_SIGMA_SQ = 0.4
-PAPER_GAMMA = {"points": 1e6, "encoder": 0.0, "encoder-decoder": 1e6, "latent": 1e6}
+# The paper's variance of the Gaussian, in squared cells of a window of 64.
+SIGMA_SQ = 0.4
 
-BEST_STEPS = {"points": 48, "encoder": 12, "encoder-decoder": 12, "latent": 30}
-BEST_LEARNING_RATE = {"points": 4e-2, "encoder": 3e-5, "encoder-decoder": 6e-5, "latent": 1e-3}
-BEST_GAMMA = 0.0
-# Points mode takes BEST_STEPS for each view, up to this many: views that disagree need longer to reconcile.
-MAX_VIEWS_FOR_STEPS = 4
-MORE_STEPS, BAD_START = 2, 1.0
-"""Factor of these steps where several masks all fill the finest grid and the start's mean loss is over so many px^2 (of a mask
-of 64) per mask pixel. Other scenes of the training and validation shapes gain nothing by more steps."""
 
-FULL_STEPS = 2
-"""Factor of BEST_STEPS with the budget "full"."""
-OPTIMISING = 0.8
-"""Share of a budget's seconds that the optimisation may take; the rest is for judging the result."""
+@dataclass(frozen=True)
+class Defaults:
+    """Defaults of a preset and a mode.
+
+    steps : of the optimiser; in points mode with "best" for each view (`default_steps`).
+    learning_rate : for a cloud of longest side 1.
+    gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
+    """
+
+    steps: int
+    learning_rate: float
+    gamma: float
+
+
+DEFAULTS = {
+    ("best", "points"): Defaults(48, 4e-2, 0.0),
+    ("best", "encoder"): Defaults(12, 3e-5, 0.0),
+    ("best", "encoder-decoder"): Defaults(12, 6e-5, 0.0),
+    ("best", "latent"): Defaults(30, 1e-3, 0.0),
+    # Published. The paper's encoder variant has no Chamfer term. It has no latent variant.
+    ("paper", "points"): Defaults(50, 5e-4, 1e6),
+    ("paper", "encoder"): Defaults(50, 1e-6, 0.0),
+    ("paper", "encoder-decoder"): Defaults(50, 5e-6, 1e6),
+    ("paper", "latent"): Defaults(50, 1e-3, 1e6),
+}
+BEST_POINTS, PAPER_POINTS = DEFAULTS["best", "points"], DEFAULTS["paper", "points"]
+
+# Several views that disagree need longer to reconcile, up to this many.
+MOST_VIEWS_FOR_STEPS = 4
+
+# With a budget of fewer seconds for each view, 48 steps of 1,024 points may not fit ...
 SHORT_SECONDS = 0.3
-"""For each view: with a budget of less, in which not all of 48 steps of 1,024 points may fit, `SHORT_POINTS` move."""
-SHORT_POINTS = 512
+# ... and so many control points are the default.
+SHORT_CONTROL_POINTS = 512
+# The share of a budget's seconds that the optimisation may take. The rest is for the evaluation.
+OPTIMISING = 0.8
 
-FIELD_NODES = 1024
-"""Most nodes of a smooth displacement field; larger clouds interpolate between them."""
-FEWEST_POINTS = 16
-"""Least number of points that may be asked to move by themselves, and for which a result is judged."""
+# Least number of control points that may be asked for, and for which there is a confidence.
+FEWEST_CONTROL_POINTS = 16
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of the coarse-to-fine descent; all stages have equally many steps.
+    """One stage of the coarse-to-fine optimisation. All stages have equally many steps.
 
     Parameters
     ----------
     smoothness : lambda of `SmoothField`.
     robust_scale : of the mask Chamfer loss, px of a window of 64.
-    learning_rate_scale : times the learning rate; a slower last stage is what cars and sofas gain by.
+    learning_rate_scale : factor of the learning rate. Cars and sofas gain by a slower last stage.
     nodes : of the displacement field.
-    averaging_weight : of this stage's best iterate in the result, which is a mean over the stages.
+    averaging_weight : of this stage's best iterate in the result, which is a mean over stages.
     blur : standard deviation of the photometric loss's blur, px of a window of 64.
     fine_grid : whether the window is resampled at `fine_cells` in place of 64 cells a side.
     """
@@ -54,36 +75,40 @@ class Stage:
     smoothness: float
     robust_scale: float
     learning_rate_scale: float = 1.0
-    nodes: int = FIELD_NODES
+    nodes: int = CONTROL_POINTS
     averaging_weight: float = 1.0
     blur: float = 0.5
     fine_grid: bool = False
 
 
-# The cloud first moves almost rigidly, toward distant pixels too; at last almost point by point, toward near pixels only.
-# Where stages disagree, the later one is wrong about as often as it is right. Their mean is about as accurate as the last
-# stage, and is less often worse than the start.
+# At first the cloud moves almost rigidly, toward distant pixels too. At last it moves almost point
+# by point, toward near pixels only. Where stages disagree, the later stage is wrong about as often
+# as it is right. The mean of the stages is about as accurate as the last stage, and is less often
+# worse than the start.
 STAGES = (
     Stage(100.0, 6.0, 1.0, 256, 1.0, blur=2.0),
     Stage(10.0, 3.0, 1.0, 512, 2.0, blur=1.0),
-    Stage(1.0, 3.0, 0.35, FIELD_NODES, 3.0, fine_grid=True),
+    Stage(1.0, 3.0, 0.35, CONTROL_POINTS, 3.0, fine_grid=True),
 )
 
 
 @dataclass(frozen=True)
 class CoarseToFineConfig:
-    """Settings of the default preset; the ablation changes one at a time.
+    """Settings of the default preset. The ablation changes one at a time.
 
     Parameters
     ----------
     stages : in this order.
-    prior_weight : cost of moving a point, per squared distance (longest side 1), where the start's mean loss per mask pixel
-        is e = 1 px^2. A worse start is held less, by prior_weight / e^prior_decay, but by at least ``least_prior_weight`` (for
-        one view).
-    truncated_prior : factor of the prior where every image border truncates the object.
+    prior_weight : cost of moving a point, per squared distance (longest side 1), where the mean
+        loss of the start per mask pixel is e = 1 px^2. A worse start is held less, by
+        prior_weight / e^prior_decay.
+    least_prior_weight : the least prior weight for one view.
+    truncated_prior : factor of the prior where the image border truncates the object in every view.
     local_prior : whether a part of the cloud that fits badly is held less than the rest.
-    uniform_adam : whether Adam's step has one scale for the whole cloud (`UniformAdam`) or one per number.
-    use_resolvability : whether parts too thin for the pixels to resolve are left out of the background term.
+    uniform_adam : whether Adam's step has one scale for the whole cloud (`UniformAdam`), or one
+        for each number.
+    use_resolvability : whether parts that are too thin for the pixels are left out of the loss of
+        points outside the mask.
     """
 
     stages: tuple[Stage, ...] = STAGES
@@ -97,10 +122,9 @@ class CoarseToFineConfig:
 
 
 BEST = CoarseToFineConfig()
-# The budget "full": the masks as fine in every stage.
-FULL = replace(BEST, stages=tuple(replace(stage, fine_grid=True) for stage in STAGES))
-# The network modes: weights move many points together, so no field is needed; and a prediction that is far off is the wrong
-# shape, which small changes of weights do not mend, so the prior falls more slowly.
+# The network modes. Weights move many points together, so no field is needed. A prediction that is
+# far off has the wrong shape, which small changes of weights do not mend, so the prior falls more
+# slowly with the loss of the start.
 NETWORK = CoarseToFineConfig(
     stages=(Stage(0.0, 3.0),),
     prior_weight=500.0,
@@ -108,11 +132,17 @@ NETWORK = CoarseToFineConfig(
     least_prior_weight=30.0,
     local_prior=False,
 )
-# The symmetry check: one short, loosely held stage. A strong prior would hide how the two descents it compares differ.
-SYMMETRY_PROBE = CoarseToFineConfig(
+# Two short optimisations are compared to verify a hypothesis. They have one loosely held stage: a
+# strong prior would hide how they differ.
+COMPARISON = CoarseToFineConfig(
     stages=(Stage(10.0, 6.0, nodes=512),),
     prior_weight=350.0,
     least_prior_weight=30.0,
     local_prior=False,
 )
-SYMMETRY_PROBE_STEPS = 20
+COMPARISON_STEPS = 20
+
+
+def default_steps(views: int) -> int:
+    """Steps of the default preset in points mode for so many views."""
+    return BEST_POINTS.steps * min(views, MOST_VIEWS_FOR_STEPS)

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..cloud.smooth_field import SmoothField
+from ..geometry.arrays import Array
 from ..losses.mask_chamfer import REFERENCE_POINTS
-from .objective import Array, MaskChamferObjective, ViewTargets
+from .objective import MaskChamferObjective, ViewTargets
 from .presets import CoarseToFineConfig
 
-# Robust scale of the loss by which the start is judged, px of a mask of 64.
-ROBUST_SCALE = 4.0
+# Robust scale of the loss of the start, px of a mask of 64.
+START_ROBUST_SCALE = 4.0
 # Least loss of the start that the prior weight is computed from, px^2 per mask pixel.
 LEAST_LOSS = 0.1
-# A part of the cloud is held by its own loss where that, averaged with this smoothness, is over so many px^2 per mask pixel.
+# A part of the cloud is held by its own mean loss where that is over so many px^2 per mask pixel.
+# The mean is averaged over neighbours with this smoothness.
 LOCAL_LOSS, LOCAL_SMOOTHNESS = 1.0, 1.0
 
 
@@ -33,8 +35,12 @@ class PositionPrior:
 
 
 def start_loss(initial: Array, targets: ViewTargets) -> tuple[float, Array]:
-    """The mean loss of a start [N, 3] by its views, px^2 per mask pixel; what each point adds to the masks' part [N]."""
-    total, _, per_point = MaskChamferObjective(targets, ROBUST_SCALE).in_parts(initial)
+    """The mean loss of a start [N, 3] by its views, px^2 per mask pixel.
+
+    Also what each point adds to the masks' part of the sum, [N].
+    """
+    objective = MaskChamferObjective(targets, START_ROBUST_SCALE)
+    total, _, per_point = objective.in_parts(initial)
     return total / targets.pixels, per_point
 
 
@@ -43,14 +49,15 @@ def position_prior(
     targets: ViewTargets,
     field: SmoothField,
     config: CoarseToFineConfig,
-    evidence: float = 1.0,
+    observations: float = 1.0,
 ) -> PositionPrior:
-    """The prior of a cloud ``initial`` [N, 3]: the better the start fits its views, the more it is held.
+    """The prior of a cloud ``initial`` [N, 3]: the better the start fits its views, the firmer.
 
     Parameters
     ----------
     targets, field : of the start.
-    evidence : `Problem.evidence`. The more views, the less the start is needed: the least prior weight falls with its square.
+    observations : `Problem.observations`. The more views, the less the start is needed: the least
+        prior weight falls with their square.
     """
     mean, per_point = start_loss(initial, targets)
     loss = np.full(len(initial), mean)
@@ -58,6 +65,6 @@ def position_prior(
         local = field.averaged(per_point * (len(initial) / targets.pixels), LOCAL_SMOOTHNESS)
         loss = np.maximum(loss, np.where(local > LOCAL_LOSS, local, 0.0))
     weights = config.prior_weight / np.maximum(loss, LEAST_LOSS) ** config.prior_decay
-    weights = np.maximum(weights, config.least_prior_weight / evidence**2)
+    weights = np.maximum(weights, config.least_prior_weight / observations**2)
     factor = config.truncated_prior if targets.truncated else 1.0
     return PositionPrior(initial, weights * (factor * REFERENCE_POINTS / len(initial)))

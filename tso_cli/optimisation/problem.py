@@ -1,151 +1,170 @@
-"""One cloud with its views, prepared for the optimisation."""
+"""One cloud with its views, prepared for the optimisation: plain data."""
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..cloud.cloud import Cloud
-from ..diagnosis.agreement import Agreement
-from ..diagnosis.placement import behind_warnings, place, require_overlap
+from ..cloud.cloud import ControlledCloud
 from ..errors import InputError
+from ..geometry.arrays import Array, Box
 from ..geometry.view import View
-from ..geometry.window import Array, Box, window_of
-from ..refinement.config import Settings
-from .resampled_view import CELLS, FINE_GRIDS, ResampledView, fine_cells, resample_view
+from ..geometry.window import window_of
+from .objective import ViewTargets
+from .resampled_view import CELLS, ResampledView, fine_cells, resample_view
+from .settings import Settings
 from .symmetry import SymmetryDecision, decide_symmetry
 
-# Evidence that a flipped view counts for, beside the view's own: that the object is symmetric is a guess.
+# A flipped view counts as a quarter of a real view: that the object is symmetric is a guess.
 FLIPPED_EVIDENCE = 0.25
-# A window is resampled anew where its side changed by more than this (logarithm).
+# A window is resampled anew where the logarithm of its side changed by more than this.
 WINDOW_CHANGE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
+class WindowedView:
+    """A view, resampled to its window.
+
+    fine_cells : cells along the window in stages with a fine grid.
+    """
+
+    view: View
+    resampled: ResampledView
+    fine_cells: int
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """A cloud and its views.
+    """A cloud and the views that it is to agree with.
 
     Attributes
     ----------
-    views : as given. all_views : the same, followed by the flipped ones where a mirror plane is used.
-    resampled : of each of ``all_views``. fine_grids : cells a side of each in stages with a fine grid.
-    agreement : of points mode, with what may be wrong with the input.
+    given : the views that were given, in the axes of the cloud.
+    flipped : what a mirror plane makes of each of them; empty without a plane.
     """
 
-    cloud: Cloud
-    views: tuple[View, ...]
-    all_views: tuple[View, ...]
-    resampled: tuple[ResampledView, ...]
-    fine_grids: tuple[int, ...]
+    cloud: ControlledCloud
+    given: tuple[WindowedView, ...]
+    flipped: tuple[WindowedView, ...]
     symmetry: SymmetryDecision
-    agreement: Agreement | None = None
+    sigma_sq: float
 
     @classmethod
-    def of(cls, cloud: Cloud, views: tuple[View, ...], settings: Settings) -> Problem:
-        """Raises InputError where the cloud's projection misses a mask, or the mode cannot use depth maps or images."""
-        _require_supported(cloud, views, settings)
-        cloud = cloud.with_parts_on(views).with_moving(settings.points)
-        agreement = Agreement.of(cloud.initial, views) if settings.mode == "points" else None
-        for view in views:
-            placement = place(cloud.initial, view)
-            require_overlap(placement, view, agreement.suspicion if agreement else None)
-            for text in behind_warnings(placement, view):
-                warnings.warn(text, stacklevel=2)
-        symmetry = decide_symmetry(cloud, settings.symmetry)
-        if symmetry.outcome == "given":
-            _require_plane_through(cloud, views, symmetry, settings.symmetry)
-        return cls(cloud, (), (), (), (), symmetry, agreement).with_views(views, settings)
+    def of(
+        cls,
+        cloud: ControlledCloud,
+        views: Iterable[View],
+        symmetry: SymmetryDecision,
+        sigma_sq: float,
+    ) -> Problem:
+        """With the views resampled to windows around mask and cloud."""
+        views, plane = tuple(views), symmetry.plane
+        flipped = () if plane is None else tuple(map(plane.flipped, views))
+        given, mirrored = (
+            tuple(_windowed(view, cloud, sigma_sq) for view in some) for some in (views, flipped)
+        )
+        return cls(cloud, given, mirrored, symmetry, sigma_sq)
 
-    def with_views(self, views: tuple[View, ...], settings: Settings) -> Problem:
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views that were given."""
+        return tuple(windowed.view for windowed in self.given)
+
+    @property
+    def resampled(self) -> list[ResampledView]:
+        """The views that were given, then the flipped ones."""
+        return [windowed.resampled for windowed in (*self.given, *self.flipped)]
+
+    def with_views(self, views: Iterable[View]) -> Problem:
         """The same cloud with other views."""
-        plane, cloud = self.symmetry.plane, self.cloud
-        all_views = views if plane is None else (*views, *(plane.view(view) for view in views))
-        resampled = tuple(
-            resample_view(
-                view, settings.sigma_sq, cloud.centre, cloud.scale, window_of(view, cloud.initial)
-            )
-            for view in all_views
-        )
-        fine_grids = tuple(fine_cells(_side(view.box), len(cloud.initial)) for view in resampled)
-        return replace(
-            self, views=views, all_views=all_views, resampled=resampled, fine_grids=fine_grids
-        )
+        return Problem.of(self.cloud, views, self.symmetry, self.sigma_sq)
+
+    def with_symmetry(self, symmetry: SymmetryDecision) -> Problem:
+        """The same with another decision about the mirror plane."""
+        flipped = () if symmetry.plane is None else self.flipped
+        return replace(self, symmetry=symmetry, flipped=flipped)
+
+    def without_flipped(self) -> Problem:
+        """The same without the flipped views."""
+        return replace(self, flipped=())
 
     def with_windows_around(self, points: Array, fine_grid: bool) -> Problem:
-        """The same with windows around ``points`` [N, 3] (units of the file), resampled where they change much; else itself.
+        """The same with windows around ``points`` [N, 3], in the unit of the source.
 
-        A cloud that starts far from its mask needs a large window at first, which would resolve little detail later.
+        Views are resampled where the side of the window changes much. A cloud that starts far from
+        its mask needs a large window at first, which would resolve little detail later.
         """
-        cloud, grids = self.cloud, self.fine_grids if fine_grid else (CELLS,) * len(self.all_views)
-        resampled = []
-        for view, current, cells in zip(self.all_views, self.resampled, grids, strict=True):
-            box = window_of(view, points)
-            same = (
-                current.camera.width == cells
-                and abs(np.log(_side(box) / _side(current.box))) <= WINDOW_CHANGE
-            )
-            resampled.append(
-                current
-                if same
-                else resample_view(view, current.sigma_sq, cloud.centre, cloud.scale, box, cells)
-            )
-        if all(new is old for new, old in zip(resampled, self.resampled, strict=True)):
+
+        def moved(windowed: WindowedView) -> WindowedView:
+            cells, now = windowed.fine_cells if fine_grid else CELLS, windowed.resampled
+            box = window_of(windowed.view, points)
+            change = abs(np.log(_side(box) / _side(now.box)))
+            if now.camera.width == cells and change <= WINDOW_CHANGE:
+                return windowed
+            of_cloud = self.cloud.centre, self.cloud.scale
+            new = resample_view(windowed.view, self.sigma_sq, *of_cloud, box, cells)
+            return replace(windowed, resampled=new)
+
+        given, flipped = (tuple(map(moved, views)) for views in (self.given, self.flipped))
+        if (*given, *flipped) == (*self.given, *self.flipped):
             return self
-        return replace(self, resampled=tuple(resampled))
+        return replace(self, given=given, flipped=flipped)
 
-    @property
-    def suspicion(self) -> str | None:
-        """What may be wrong with the input, in words; None where all looks right."""
-        return self.agreement.suspicion if self.agreement else None
+    def targets(self, weights: Sequence[float]) -> ViewTargets:
+        """Of all views; ``weights`` are of the given views, and count for the flipped ones too."""
+        return ViewTargets.of(self.resampled, self.all_weights(weights))
 
-    @property
-    def several_large(self) -> bool:
-        """Whether there are several masks, and all take the finest grid in the last stage."""
-        return len(self.views) > 1 and min(self.fine_grids) == FINE_GRIDS[0][1]
+    def all_weights(self, weights: Sequence[float]) -> list[float]:
+        """The ``weights`` of the given views, for all views."""
+        return [*weights, *weights] if self.flipped else [*weights]
 
     @property
     def masks_alone(self) -> bool:
         """Whether no view has a depth map or a photo."""
         return all(view.depth is None and view.image is None for view in self.views)
 
-    def evidence(self, weights: list[float]) -> float:
-        """Weighted number of masks and depth maps; a flipped mask counts a quarter."""
-        flipped = 0.0 if self.symmetry.plane is None else FLIPPED_EVIDENCE
+    def observations(self, weights: Sequence[float]) -> float:
+        """V: the weighted number of masks and depth maps. A flipped mask counts as a quarter."""
+        flipped = FLIPPED_EVIDENCE if self.flipped else 0.0
         return sum(
             weight * (1.0 + flipped + (view.depth is not None))
             for weight, view in zip(weights, self.views, strict=True)
         )
 
 
+def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> Problem:
+    """The problem of a cloud and ``views`` in its axes, with a mirror plane if the cloud has one.
+
+    Raises InputError where the mode cannot use depth maps or photos, or a mask has no foreground
+    in its window.
+    """
+    _require_supported(cloud, views, settings)
+    symmetry = decide_symmetry(cloud, settings.symmetry)
+    return Problem.of(cloud, views, symmetry, settings.sigma_sq)
+
+
+def _windowed(view: View, cloud: ControlledCloud, sigma_sq: float) -> WindowedView:
+    box = window_of(view, cloud.control_points)
+    resampled = resample_view(view, sigma_sq, cloud.centre, cloud.scale, box)
+    return WindowedView(view, resampled, fine_cells(_side(resampled.box), len(cloud.start)))
+
+
 def _side(box: Box) -> float:
     return box[2] - box[0]
 
 
-def _require_supported(cloud: Cloud, views: tuple[View, ...], settings: Settings) -> None:
-    for name, used in (
-        ("a depth map", any(view.depth is not None for view in views)),
-        ("an image", any(view.image is not None for view in views)),
-    ):
+def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> None:
+    uses = {
+        "a depth map": any(view.depth is not None for view in views),
+        "an image": any(view.image is not None for view in views),
+    }
+    for name, used in uses.items():
         if used and not settings.staged:
             raise InputError(
-                f"a view has {name}, expected mode points with preset best, found {settings.mode} with {settings.preset}"
+                f"a view has {name}, expected mode points with preset best, "
+                f"found {settings.mode} with {settings.preset}"
             )
-    if any(view.image is not None for view in views) and cloud.colours is None:
+    if uses["an image"] and cloud.colours is None:
         raise InputError("a view has an image, expected a cloud with colours, found none")
-
-
-def _require_plane_through(
-    cloud: Cloud, views: tuple[View, ...], decision: SymmetryDecision, symmetry: str
-) -> None:
-    """Refuse a given plane whose flipped views the cloud does not meet."""
-    assert decision.plane is not None
-    for view in views:
-        flipped = decision.plane.view(view)
-        try:
-            require_overlap(place(cloud.initial, flipped), flipped)
-        except InputError as error:
-            raise InputError(
-                f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; as it is, {error}"
-            ) from None

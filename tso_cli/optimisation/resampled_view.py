@@ -8,13 +8,14 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.arrays import Array, Box
 from ..geometry.camera import NEAR, Camera
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
-from ..geometry.window import Array, Box, window_of
+from ..geometry.window import window_of
 from ..losses.mask_chamfer import REFERENCE_SIDE, MaskTarget
 
-# Cells along the side of a resampled view; `fine_cells` says where there are more.
+# Cells along the side of a window, unless a stage has a fine grid (`fine_cells`).
 CELLS = 64
 
 
@@ -24,12 +25,15 @@ class ResampledView:
 
     Attributes
     ----------
-    mask : [h, h]. known : [h, h] known share of each cell, 0 beyond the image; None where all is known.
+    mask : [h, h]. known : [h, h] known share of each cell, 0 beyond the image; None where all of
+        it is known.
     camera : from normalised points to cells. sigma_sq : of the projection, cells^2.
     box : edges of the window in pixels of the mask. bounds : edges of the image in cells.
-    truncated : as of the `View`; in cells more objects touch the border.
+    truncated : whether the image border truncates the object, by the pixels of the `View`. In cells
+        more objects touch the border.
     depth : [h, h] normalised, NaN where unknown; None without a depth map.
-    image : [h, h, 3] mean colour of the foreground in each cell, 0 where there is none; None without an image.
+    image : [h, h, 3] mean colour of the foreground in each cell, 0 without foreground; None
+        without an image.
     """
 
     mask: Array
@@ -43,31 +47,33 @@ class ResampledView:
     image: Array | None = None
 
     @property
-    def grain(self) -> float:
+    def cells_per_mask_pixel(self) -> float:
         """Cells to a pixel of an enlarged mask, else 1: the mask resolves nothing finer."""
         return max(1.0, self.camera.width / (self.box[2] - self.box[0]))
 
     @cached_property
     def target(self) -> MaskTarget:
         """The mask, prepared for the mask Chamfer loss."""
-        return MaskTarget.of(self.mask, self.known, self.bounds, self.grain, self.truncated)
+        return MaskTarget.of(
+            self.mask, self.known, self.bounds, self.cells_per_mask_pixel, self.truncated
+        )
 
     @cached_property
     def pixel_weights(self) -> tuple[Array, Array]:
-        """[h, h] weights of the two terms of Eq. 4: of covering a cell, and of leaving it free."""
+        """[h, h] weights of the two terms of Eq. 4: to cover a cell, and to leave it free."""
         known = 1.0 if self.known is None else self.known
         return self.mask * known, (1.0 - self.mask) * known
 
     @property
     def magnification(self) -> float:
-        """Pixels of a 64x64 mask per unit length at the cloud's centre; the silhouette loss is proportional to it."""
+        """Pixels of a 64x64 mask per unit length at the cloud's centre.
+
+        The silhouette loss is proportional to it.
+        """
         camera = self.camera
         depth = 1.0 if camera.model == "orthographic" else max(float(camera.t[2]), NEAR)
-        return float(
-            np.sqrt(camera.K[0, 0] * camera.K[1, 1] / (camera.width * camera.height))
-            * REFERENCE_SIDE
-            / depth
-        )
+        focal = np.sqrt(camera.K[0, 0] * camera.K[1, 1] / (camera.width * camera.height))
+        return float(focal * REFERENCE_SIDE / depth)
 
 
 def resample_view(
@@ -80,18 +86,21 @@ def resample_view(
 ) -> ResampledView:
     """Resample ``view`` for a cloud normalised by ``(X - centre) / scale``.
 
-    Pixels are averaged by area, or interpolated linearly where cells are smaller than pixels. ``sigma_sq`` is in cells^2;
-    ``box`` the square window, by default that of the mask alone, with ``cells`` along its side.
+    Pixels are averaged by area, or interpolated linearly where cells are smaller than pixels.
+    ``sigma_sq`` is in cells^2. ``box`` is the square window, by default the window of the mask
+    alone. It has ``cells`` along its side.
 
     Raises
     ------
     InputError
-        sigma_sq is under 0.01, or its square root over a quarter of the window; or no cell is known and foreground.
+        sigma_sq is under 0.01, or its square root is over a quarter of the window; or no cell is
+        known to be foreground.
     """
     widest = (cells / 4.0) ** 2
     if not 0.01 <= sigma_sq <= widest:
         raise InputError(
-            f"sigma_sq is {sigma_sq:g}, expected 0.01 to {widest:g}: squared cells of a window of {cells}x{cells}"
+            f"sigma_sq is {sigma_sq:g}, expected 0.01 to {widest:g}: squared cells of a window of "
+            f"{cells}x{cells}"
         )
     box = window_of(view) if box is None else box
     camera = view.camera.cropped(box, cells, cells)
@@ -108,8 +117,8 @@ def resample_view(
     )
     if not resampled.target.inside.any():
         raise InputError(
-            f"{view.name}: no pixel is known to be foreground when it is worked on at {cells}x{cells}, expected "
-            "some; its ignore map leaves less than half of each"
+            f"{view.name}: no cell of its window of {cells}x{cells} is known to be foreground, "
+            "expected some; its ignore map leaves less than half of each"
         )
     return resampled
 
@@ -126,7 +135,10 @@ def _image_bounds(box: Box, camera: Camera, cells: int) -> Box:
 
 
 def _sampled(depth: Array, box: Box, cells: int) -> Array:
-    """``depth`` at the pixel nearest to each cell, NaN beyond the image; averages across an edge would lie in mid-air."""
+    """``depth`` at the pixel nearest to each cell, NaN beyond the image.
+
+    It is not averaged: means across an edge would lie in mid-air.
+    """
     left, top, right, bottom = box
     centres = (np.arange(cells) + 0.5) / cells
     rows = np.floor(top + centres * (bottom - top) + 0.5).astype(int)
@@ -138,14 +150,16 @@ def _sampled(depth: Array, box: Box, cells: int) -> Array:
     )
 
 
-# From a window of so many pixels of the mask, the last stage uses so many cells; more bring nothing, at 16,384 points neither.
-FINE_GRIDS = (96.0, 128), (48.0, 96)
+# Least side of a window, in pixels of the mask, for which the last stage has so many cells a side.
+# More cells bring nothing, even for 16,384 points.
+FINE_GRIDS = {128: 96.0, 96: 48.0}
+FINEST_GRID = max(FINE_GRIDS)
 # Sparser clouds cannot follow finer cells.
 FEWEST_POINTS_FOR_FINE = 512
 
 
 def fine_cells(side: float, points: int) -> int:
-    """Cells along a window of ``side`` pixels of the mask in stages with a fine grid, for a cloud of so many points."""
+    """Cells along a window of ``side`` pixels in stages with a fine grid, for so many points."""
     if points < FEWEST_POINTS_FOR_FINE:
         return CELLS
-    return next((cells for pixels, cells in FINE_GRIDS if side >= pixels), CELLS)
+    return next((cells for cells, pixels in FINE_GRIDS.items() if side >= pixels), CELLS)

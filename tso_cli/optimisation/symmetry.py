@@ -1,139 +1,127 @@
-"""Mirror planes of clouds: the view of a symmetric object, flipped, is a second view of it."""
+"""The mirror plane of a cloud: searched, given or none; the views are asked elsewhere."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..cloud.cloud import Cloud
-from ..cloud.outliers import lying_apart
+from ..cloud.cloud import ControlledCloud
+from ..cloud.outliers import find_sparse
+from ..errors import InputError
+from ..geometry.arrays import Array
+from ..geometry.mirror_plane import MirrorPlane
 from ..geometry.points import CANDIDATES, as_points, quantile, scattered
-from ..geometry.view import View
 from ..losses.chamfer import spacings
-from ..losses.nearest import nearest, spread_subset
-from ..refinement.config import parse_symmetry
+from ..losses.nearest import fast_spread_subset, nearest
 
-Array = NDArray[np.float64]
 SymmetryOutcome = Literal["used", "given", "not_asked", "none_found", "contradicted", "unchecked"]
 
-# Points that planes are fitted to in the search, and judged by.
-SEARCH_POINTS, JUDGED_POINTS = 256, 1024
-SEARCH_UPDATES = 8
-# The best plane is then fitted to convergence: a plane that still moves would depend on how this machine rounds.
-MOST_UPDATES, CONVERGED = 40, 1e-9
-# Squared distances that differ by at most this share are the same but for rounding.
-EQUALLY_FAR = 1e-9
-# Distances from mirrored points to the cloud, in spacings of its points, at most which the cloud counts as symmetric (another
-# sampling of the same surface would lie as far off): their mean, and their 97 % quantile.
-MEAN_MISFIT, FAR_MISFIT, FAR_QUANTILE = 0.6, 1.2, 0.97
-# Largest ratio of losses, with the flipped views over without, per view, at which a found plane is kept; several masks need it
-# less than one.
-MOST_LOSS_RATIO, MOST_OF_SEVERAL = 1.15, 1.1
+
+class Search:
+    """How the best plane of a cloud is searched."""
+
+    POINTS = 256  # that candidate planes are fitted to
+    MEASURED_POINTS = 1024  # that the misfit of a plane is measured at
+    UPDATES = 8  # of the candidates
+    # The best candidate is fitted to convergence: a plane that still moves would depend on how
+    # this machine rounds.
+    MOST_UPDATES = 40
+    CONVERGED = 1e-9  # movement of the mirrored points, in spacings
+    EQUALLY_FAR = 1e-9  # squared distances that differ by at most this share differ by rounding
+    PAIRED_SHARE = 0.8  # the furthest fifth has no counterpart, and would turn the plane
+
+
+class Symmetric:
+    """A cloud is symmetric if its mirrored points lie near the cloud.
+
+    Distances are in spacings of the points. Another sampling of the same surface lies as far off.
+    """
+
+    LARGEST_MEAN = 0.6
+    LARGEST_TAIL, TAIL_QUANTILE = 1.2, 0.97
 
 
 @dataclass(frozen=True, eq=False)
-class MirrorPlane:
-    """The plane ``normal . x = offset``.
+class FittedPlane:
+    """A mirror plane of a cloud, and the distances from the mirrored points to the cloud.
 
     Attributes
     ----------
-    normal : [3], length 1. offset : in the unit of the points.
-    misfit : mean distance from mirrored points to the cloud, in spacings of its points; NaN before `judged`.
-    far : the 97 % quantile of these distances.
+    mean, tail : of the distances, in spacings of the points: their mean and their 97 % quantile.
     """
 
-    normal: Array
-    offset: float
-    misfit: float = float("nan")
-    far: float = float("nan")
+    plane: MirrorPlane
+    mean: float
+    tail: float
 
     @property
     def symmetric(self) -> bool:
-        """Whether the cloud it was judged by is its own mirror image, as far as the sampling can tell."""
-        return self.misfit <= MEAN_MISFIT and self.far <= FAR_MISFIT
-
-    def judged(self, points: Array) -> MirrorPlane:
-        """The same plane with the misfit of a cloud [N, 3]."""
-        subset = as_points(points)
-        subset = subset[spread_subset(subset, JUDGED_POINTS)]
-        return _judged(self, subset, subset, _spacing(subset))
-
-    def reflect(self, points: Array) -> Array:
-        reflected: Array = (
-            points - 2.0 * ((points @ self.normal) - self.offset)[:, None] * self.normal
-        )
-        return reflected
-
-    def view(self, view: View) -> View:
-        """The flipped view: mask and depth mirrored left to right, and the mirrored camera that sees a symmetric object so."""
-        camera = view.camera
-        matrix = np.eye(3) - 2.0 * np.outer(self.normal, self.normal)
-        flip = np.array([-1.0, 1.0, 1.0])
-        K = camera.K.copy()
-        K[0, 1], K[0, 2] = -K[0, 1], camera.width - 1.0 - K[0, 2]
-        R = flip[:, None] * (camera.R @ matrix)
-        t = flip * (camera.t + 2.0 * self.offset * (camera.R @ self.normal))
-        known = None if view.known is None else view.known[:, ::-1]
-        depth = None if view.depth is None else view.depth[:, ::-1]
-        return View(
-            view.mask[:, ::-1],
-            replace(camera, K=K, R=R, t=t),
-            known,
-            f"{view.name}, mirrored",
-            depth,
-        )
+        """Whether the cloud is its own mirror image, as far as the sampling can show it."""
+        return self.mean <= Symmetric.LARGEST_MEAN and self.tail <= Symmetric.LARGEST_TAIL
 
 
-def find_mirror_plane(points: Array) -> MirrorPlane:
-    """The plane that best maps a cloud [N, 3] onto itself, judged; if it has none, that of the points that do not lie apart.
+def find_mirror_plane(points: Array) -> FittedPlane:
+    """The plane that best maps a cloud [N, 3] onto itself.
 
-    Candidates are the coordinate planes and those of the principal axes, through the centroid. Each is improved by
-    alternation: mirrored points are paired with their nearest neighbours, then the plane is fitted to the pairs in closed form.
+    Candidates are the coordinate planes and the planes of the principal axes, through the
+    centroid. Each is improved by alternation: mirrored points are paired with their nearest
+    neighbours, then the plane is fitted to the pairs in closed form. If the cloud has no mirror
+    plane, the plane is searched once more without sparse points: outliers have no counterpart,
+    and would hide the plane of the rest.
     """
     points = scattered(as_points(points), CANDIDATES)
-    plane = _best_plane(points)
-    if plane.symmetric:
-        return plane
-    # Strays have no counterpart, and would hide the plane of the rest.
-    apart = lying_apart(points)
-    if not apart.any():
-        return plane
-    without = _best_plane(points[~apart])
-    return without if without.symmetric else plane
+    fitted = _best_plane(points)
+    if fitted.symmetric:
+        return fitted
+    sparse = find_sparse(points)
+    if not sparse.any():
+        return fitted
+    without = _best_plane(points[~sparse])
+    return without if without.symmetric else fitted
 
 
-def _best_plane(points: Array) -> MirrorPlane:
-    """As `find_mirror_plane`, of all points alike."""
-    judged = points[spread_subset(points, JUDGED_POINTS)]
-    if len(judged) < 4:
-        return MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()), np.inf, np.inf)
-    subset = judged[spread_subset(judged, SEARCH_POINTS)]
+def fitted_plane(plane: MirrorPlane, points: Array) -> FittedPlane:
+    """``plane`` with its misfit to a cloud [N, 3]."""
+    points = as_points(points)
+    subset = points[fast_spread_subset(points, Search.MEASURED_POINTS)]
+    return _measured(plane, subset, subset, _spacing(subset))
+
+
+def _best_plane(points: Array) -> FittedPlane:
+    """As `find_mirror_plane`, with all points."""
+    measured = points[fast_spread_subset(points, Search.MEASURED_POINTS)]
+    if len(measured) < 4:
+        plane = MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()))
+        return FittedPlane(plane, np.inf, np.inf)
+    subset = measured[fast_spread_subset(measured, Search.POINTS)]
     centre = subset.mean(0)
     axes = np.concatenate([np.eye(3), np.linalg.svd(subset - centre, full_matrices=False)[2]])
-    spacing = _spacing(judged)
+    spacing = _spacing(measured)
     candidates = [MirrorPlane(axis, float(axis @ centre)) for axis in axes]
-    for _ in range(SEARCH_UPDATES):
+    for _ in range(Search.UPDATES):
         before, (candidates, _) = candidates, _improved(candidates, subset)
         if all(map(_same, candidates, before)):
             break
-    candidates = [_judged(plane, judged, subset, spacing) for plane in candidates]
-    plane = min(candidates, key=lambda candidate: candidate.misfit)
+    found = [_measured(plane, measured, subset, spacing) for plane in candidates]
+    plane = min(found, key=lambda candidate: candidate.mean).plane
     iterates = []
-    for _ in range(MOST_UPDATES):
-        (improved,), (misfit,) = _improved([plane], judged)
+    for _ in range(Search.MOST_UPDATES):
+        (improved,), (misfit,) = _improved([plane], measured)
         iterates.append((misfit, plane))
         # Reflections are compared because the sign of a normal is arbitrary.
-        if np.abs(plane.reflect(subset) - improved.reflect(subset)).max() < CONVERGED * spacing:
+        moved = np.abs(plane.reflect(subset) - improved.reflect(subset)).max()
+        if moved < Search.CONVERGED * spacing:
             break
-        # The alternation may end in a cycle; the best plane of a cycle does not depend on where it was entered.
+        # The alternation may end in a cycle. The best plane of a cycle does not depend on where
+        # the cycle was entered.
         if any(_same(improved, other) for _, other in iterates):
             break
         plane = improved
     plane = min(iterates, key=lambda iterate: iterate[0])[1]
-    return _judged(plane, judged, judged, spacing)
+    return _measured(plane, measured, measured, spacing)
 
 
 def _same(one: MirrorPlane, other: MirrorPlane) -> bool:
@@ -141,35 +129,39 @@ def _same(one: MirrorPlane, other: MirrorPlane) -> bool:
 
 
 def _improved(planes: list[MirrorPlane], points: Array) -> tuple[list[MirrorPlane], list[float]]:
-    """Planes fitted to pairs of mirrored points and their nearest neighbours, and the given planes' mean squared misfits."""
+    """Planes fitted to pairs of mirrored points and their nearest neighbours.
+
+    Also the mean squared distance of the pairs by the given planes.
+    """
     images = np.stack([plane.reflect(points) for plane in planes])
     pairs = np.stack([points[nearest(image, points)] for image in images])
-    away = images - pairs
-    squared = np.einsum("pnc,pnc->pn", away, away)
-    # The furthest fifth has no counterpart, and would turn the plane. Two points, each the nearest to the other's mirror
-    # image, are equally far but for rounding: both are kept, or neither.
-    last = int(0.8 * (len(points) - 1))
-    kept = squared <= np.partition(squared, last, 1)[:, last : last + 1] * (1.0 + EQUALLY_FAR)
+    distance = images - pairs
+    squared = np.einsum("pnc,pnc->pn", distance, distance)
+    # Two points, each the nearest to the other's mirror image, are equally far up to rounding.
+    # Both are kept, or neither.
+    last = int(Search.PAIRED_SHARE * (len(points) - 1))
+    kept = squared <= np.partition(squared, last, 1)[:, last : last + 1] * (
+        1.0 + Search.EQUALLY_FAR
+    )
     weight = kept / kept.sum(1, keepdims=True)
     mean_x, mean_y = weight @ points, (weight[:, None] @ pairs)[:, 0]
-    product = ((points - mean_x[:, None]) * weight[:, :, None]).transpose(0, 2, 1) @ (
-        pairs - mean_y[:, None]
-    )
+    weighted = (points - mean_x[:, None]) * weight[:, :, None]
+    product = weighted.transpose(0, 2, 1) @ (pairs - mean_y[:, None])
     normals = np.linalg.eigh(product + product.transpose(0, 2, 1))[1][:, :, 0]
     offsets = (normals * (mean_x + mean_y)).sum(1) / 2.0
     return list(map(MirrorPlane, normals, offsets.tolist())), (weight * squared).sum(1).tolist()
 
 
-def _judged(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) -> MirrorPlane:
+def _measured(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) -> FittedPlane:
     image = plane.reflect(queries)
     distance = np.linalg.norm(image - cloud[nearest(image, cloud)], axis=1)
     if spacing == 0.0:
         # Coinciding points: any distance is infinitely many spacings.
         misfit = np.inf if distance.any() else 0.0
-        return replace(plane, misfit=misfit, far=misfit)
+        return FittedPlane(plane, misfit, misfit)
     distance /= spacing
-    return replace(
-        plane, misfit=float(distance.mean()), far=float(quantile(distance, FAR_QUANTILE))
+    return FittedPlane(
+        plane, float(distance.mean()), float(quantile(distance, Symmetric.TAIL_QUANTILE))
     )
 
 
@@ -178,18 +170,43 @@ def _spacing(points: Array) -> float:
     return float(spacings(points).mean())
 
 
+@dataclass(frozen=True)
+class SymmetryCheck:
+    """What two short optimisations showed, with and without the flipped views.
+
+    loss_ratio : the final loss per view with the flipped views, over the loss without them.
+    limit : the largest ratio at which the plane is kept.
+    """
+
+    loss_ratio: float
+    limit: float
+
+
 @dataclass(frozen=True, eq=False)
 class SymmetryDecision:
-    """Whether a mirror plane is used, and why."""
+    """Whether a mirror plane is used, and why.
 
-    outcome: SymmetryOutcome  # as in `RefineResult`
-    candidate: MirrorPlane | None = None  # the plane that was given or found
-    loss_ratio: float | None = None  # of the symmetry check (`verified_symmetry`)
-    most: float = MOST_LOSS_RATIO  # of it
+    outcome : "used" (a plane that was found), "given", or without a plane "not_asked",
+        "none_found" (the cloud has none), "contradicted" (the cloud has one, the views contradict
+        it) or "unchecked" (there was no time to ask the views).
+    candidate : the plane that was given or found. check : of the views, where there was one.
+    """
+
+    outcome: SymmetryOutcome
+    candidate: FittedPlane | None = None
+    check: SymmetryCheck | None = None
 
     @property
     def plane(self) -> MirrorPlane | None:
-        return self.candidate if self.outcome in ("used", "given") else None
+        """The plane that is used, in the frame of the input."""
+        used = self.candidate is not None and self.outcome in ("used", "given")
+        return self.candidate.plane if used and self.candidate else None
+
+    @property
+    def coefficients(self) -> tuple[float, float, float, float] | None:
+        """a, b, c, d of the plane ax + by + cz = d that is used, or None."""
+        plane = self.plane
+        return None if plane is None else (*plane.normal.tolist(), plane.offset)
 
     @property
     def reason(self) -> str:
@@ -197,42 +214,60 @@ class SymmetryDecision:
         if self.candidate is None:
             return "none asked for"
         fit = (
-            f"the mirrored cloud lies {self.candidate.misfit:.2f} spacings from the cloud on average, "
-            f"{self.candidate.far:.2f} at its worst"
+            f"the mirrored cloud lies {self.candidate.mean:.2f} spacings from the cloud on "
+            f"average, {self.candidate.tail:.2f} at its worst"
         )
         if self.outcome == "given":
             return f"given; {fit}"
-        limits = f"(at most {MEAN_MISFIT} and {FAR_MISFIT})"
+        limits = f"(at most {Symmetric.LARGEST_MEAN} and {Symmetric.LARGEST_TAIL})"
         if self.outcome == "none_found":
             return f"{fit}, too far {limits}"
         if self.outcome == "unchecked":
             return f"{fit} {limits}; the budget leaves no time for the symmetry check"
-        if self.loss_ratio is None:
+        if self.check is None:
             return f"{fit} {limits}"
-        limit = f"{'at most' if self.outcome == 'used' else 'over'} {self.most}"
-        ratio = f"the final loss per view is {self.loss_ratio:.2f} times that without ({limit})"
-        return f"{fit} {limits}; with the flipped view {ratio}"
+        bound = f"{'at most' if self.outcome == 'used' else 'over'} {self.check.limit}"
+        ratio = f"{self.check.loss_ratio:.2f} times the loss without ({bound})"
+        return f"{fit} {limits}; with the flipped view the final loss per view is {ratio}"
 
 
-def decide_symmetry(cloud: Cloud, symmetry: str) -> SymmetryDecision:
-    """The plane that ``symmetry`` (as in `RefineConfig`) stands for, of a cloud; views are not asked here."""
+def decide_symmetry(cloud: ControlledCloud, symmetry: str) -> SymmetryDecision:
+    """The plane of a cloud that ``symmetry`` (as in `RefineConfig`) asks for, before the views."""
     parsed = parse_symmetry(symmetry)
     if parsed == "none":
         return SymmetryDecision("not_asked")
     if parsed == "auto":
-        # Searched in normalised coordinates and rounded, so that neither unit nor origin of the input changes the result.
-        # All points of a cloud: the few that move need not be symmetric where it is.
-        plane = find_mirror_plane(
-            cloud.normalised() if cloud.surface else cloud.normalise(cloud.judged)
-        )
-        normal = plane.normal.round(6) / np.linalg.norm(plane.normal.round(6))
-        offset = cloud.scale * round(plane.offset, 6) + float(normal @ cloud.centre)
-        plane = replace(plane, normal=normal, offset=offset)
-        return SymmetryDecision("used" if plane.symmetric else "none_found", plane)
+        # The search is in normalised coordinates and its result is rounded, so that neither unit
+        # nor origin of the input changes the result. All points of a cloud are searched: control
+        # points need not be symmetric where the cloud is.
+        of_mesh = cloud.source.surface is not None
+        found = find_mirror_plane(cloud.start if of_mesh else cloud.normalise(cloud.measured))
+        normal = found.plane.normal.round(6)
+        normal = normal / np.linalg.norm(normal)
+        offset = cloud.scale * round(found.plane.offset, 6) + float(normal @ cloud.centre)
+        found = replace(found, plane=MirrorPlane(normal, offset))
+        return SymmetryDecision("used" if found.symmetric else "none_found", found)
     if isinstance(parsed, str):
         normal = np.eye(3)["xyz".index(parsed)]
         plane = MirrorPlane(normal, float(normal @ cloud.centre))
     else:
         length = float(np.linalg.norm(parsed[:3]))
         plane = MirrorPlane(np.array(parsed[:3]) / length, parsed[3] / length)
-    return SymmetryDecision("given", plane.judged(cloud.initial))
+    return SymmetryDecision("given", fitted_plane(plane, cloud.control_points))
+
+
+def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:
+    """One of auto, none, x, y, z, or the four numbers of a,b,c,d; else InputError."""
+    if text in ("auto", "none", "x", "y", "z"):
+        return text
+    expected = "expected auto, none, x, y, z or four numbers a,b,c,d of the plane ax + by + cz = d"
+    try:
+        a, b, c, d = (float(part) for part in text.split(","))
+    except (ValueError, AttributeError):
+        raise InputError(f"symmetry is {text!r}, {expected}") from None
+    if not (1e-100 < math.hypot(a, b, c) < 1e100 and abs(d) < 1e100):
+        raise InputError(
+            f"symmetry is {text!r}, whose normal has no direction or whose numbers are too large; "
+            f"{expected}"
+        )
+    return a, b, c, d

@@ -1,4 +1,7 @@
-"""Weights of several views: lower for views that the others contradict, and shared among views of the same side."""
+"""Weights of several views.
+
+A view that the others contradict has a lower weight. Views of the same side share their weight.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..geometry.arrays import Array, Bits
 from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project
 from .objective import silhouette_loss
 from .resampled_view import ResampledView
 
-Array = NDArray[np.float64]
-
 # With fewer views, none can be called the outlier.
-FEWEST_TO_JUDGE = 3
-# Chosen on validation shapes with none or one of four views wrong. A loss up to so many medians is tolerated, and so is any
-# loss of a view whose gradient agrees this well with the others' (mean cosine); the steepness of the fall beyond.
+FEWEST_VIEWS_TO_OUTVOTE = 3
+# The next three were chosen on validation shapes with none or one of four views wrong.
+# A loss up to so many medians is tolerated ...
 TOLERATED_LOSS = 1.5
-AGREEMENT = 0.1
+# ... and so is any loss of a view whose gradient has this mean cosine with the others' gradients.
+TOLERATED_COSINE = 0.1
+# How steeply the weight falls beyond.
 STEEPNESS = 4.0
 # Power of the cosine between viewing directions in the redundancy of two views.
 REDUNDANCY_POWER = 8
@@ -31,8 +34,8 @@ TINY = float(np.finfo(np.float64).tiny)
 class ViewWeights:
     """Weights of V views.
 
-    ``inlier`` is under 1 where the other views contradict one (`inlier_weights`); ``loss`` weighs the views' losses: the inlier
-    weights, divided among redundant views (`shared_weights`).
+    ``inlier`` is under 1 for a view that the other views contradict (`inlier_weights`). ``loss``
+    weighs the views' losses: the inlier weights, divided among redundant views (`shared_weights`).
     """
 
     inlier: list[float]
@@ -48,7 +51,7 @@ class ViewWeights:
         if len(views) == 1:
             return cls.even(1)
         inlier = np.ones(len(views))
-        if len(views) >= FEWEST_TO_JUDGE:
+        if len(views) >= FEWEST_VIEWS_TO_OUTVOTE:
             losses = [silhouette_loss(points, view, view.camera) for view in views]
             comparable = np.array(
                 [value / view.magnification for (value, _), view in zip(losses, views, strict=True)]
@@ -60,27 +63,31 @@ class ViewWeights:
 
 
 def inlier_weights(losses: Array, gradients: Array) -> Array:
-    """Weights of views of which some may be outliers: the mask of another object, or a wrong camera.
+    """Weights [V] of views, some of which may show another object or have a wrong camera.
 
-    An outlier has a high loss, and a gradient that disagrees with the other views'. A high loss alone is no sign: where the
-    cloud is wrong in depth only a view from the side shows it, and its gradient leaves the other silhouettes as they are. With
-    r the loss over the median of the cloud's views, and a the mean cosine between the view's gradient and the others', kept
-    within 0 and 0.1, the weight is (1.5 / r)^(4 (1 - a / 0.1)), at most 1.
+    A wrong view has a high loss, and a gradient that disagrees with the gradients of the other
+    views. A high loss alone is no sign: where the cloud is wrong in depth, only a view from the
+    side shows it, and its gradient leaves the other silhouettes as they are.
 
-    ``losses`` [V], V >= 3, are comparable between views; ``gradients`` [V, D] are theirs by the points. [V].
+    Let r be the loss over the median of the losses, and c the mean cosine between the gradient and
+    the other gradients, clamped to [0, 0.1]. The weight is min(1, 1.5 / r)^(4 (1 - c / 0.1)).
+
+    ``losses`` [V], V >= 3, are comparable between views. ``gradients`` [V, D] are by the points.
     """
     ratio = losses / np.median(losses)
     unit = gradients / np.maximum(np.linalg.norm(gradients, axis=1, keepdims=True), 1e-12)
-    agreement = ((unit * unit.sum(0)).sum(1) - 1.0) / (len(losses) - 1)
-    doubt = 1.0 - np.clip(agreement / AGREEMENT, 0.0, 1.0)
-    weights: Array = (TOLERATED_LOSS / np.maximum(ratio, TOLERATED_LOSS)) ** (STEEPNESS * doubt)
+    cosine = ((unit * unit.sum(0)).sum(1) - 1.0) / (len(losses) - 1)
+    disagreement = 1.0 - np.clip(cosine / TOLERATED_COSINE, 0.0, 1.0)
+    weights: Array = (TOLERATED_LOSS / np.maximum(ratio, TOLERATED_LOSS)) ** (
+        STEEPNESS * disagreement
+    )
     return weights
 
 
 def shared_weights(inlier: Array, redundancy: Array) -> Array:
-    """Loss weights [V] with which redundant views together count as the most trusted of them alone.
+    """Loss weights [V]: redundant views together count as much as the most trusted of them.
 
-    ``redundancy`` [V, V] in [0, 1] is how much of the content of view v is in view u too; 1 for v = u.
+    ``redundancy`` [V, V] in [0, 1] is the share of view v's content that view u has too.
     """
     others = redundancy * inlier
     shared: Array = inlier * others.max(1) / np.maximum(others.sum(1), TINY)
@@ -88,7 +95,7 @@ def shared_weights(inlier: Array, redundancy: Array) -> Array:
 
 
 def _redundancy(views: Sequence[ResampledView], points: Array) -> Array:
-    """[V, V]: |cos|^8 of the angle between two cameras, times the share of one view's points that the other sees.
+    """[V, V]: |cos|^8 of the angle between two cameras, times the share of points seen by both.
 
     Silhouettes from opposite sides are the same, flipped; surfaces and colours are not.
     """
@@ -104,7 +111,7 @@ def _redundancy(views: Sequence[ResampledView], points: Array) -> Array:
     return redundancy
 
 
-def _seen(view: ResampledView, points: Array) -> NDArray[np.bool_]:
+def _seen(view: ResampledView, points: Array) -> Bits:
     """[N] which points fall on known pixels of the view."""
     projected = project(points, view.camera)
     pixel, within = pixels_under(projected.points_px, projected.valid, *view.mask.shape)

@@ -18,14 +18,17 @@ if TYPE_CHECKING:
     from ..train.data import TrainingData
 
 # Window of the running mean, as a fraction of the steps.
-WINDOW = 0.02
-# Values drawn of one curve.
-MOST_POINTS = 4000
+MEAN_WINDOW = 0.02
+# Most values that are drawn for one curve.
+MOST_VALUES = 4000
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """The network's input in [0, 1], its prediction, and the true points in the same frame, y up, z toward the viewer."""
+    """The network's input in [0, 1], its prediction, and the true points in the same frame.
+
+    In this frame y points up and z toward the viewer.
+    """
 
     name: str
     image: NDArray[np.float32]  # [3, H, W]
@@ -37,7 +40,7 @@ class Sample:
 def sample_predictions(
     network: BaseNetwork, data: TrainingData, frame: str, count: int = 6
 ) -> list[Sample]:
-    """Predictions from the first view of ``count`` objects, spread evenly over the data; fewer where there are fewer."""
+    """Predictions from the first view of at most ``count`` objects, spread evenly over the data."""
     import torch
 
     from ..evaluation.metrics import chamfer
@@ -45,23 +48,15 @@ def sample_predictions(
 
     samples = []
     device = next(network.parameters()).device
-    for index in (
-        np.linspace(0, len(data.objects) - 1, min(count, len(data.objects)))
-        .round()
-        .astype(int)
-        .tolist()
-    ):
+    chosen = np.linspace(0, len(data.objects) - 1, min(count, len(data.objects))).round()
+    for index in chosen.astype(int).tolist():
         has_target = data.readable(index)
         if data.usable(index, 0, has_target)[0] != index:
-            continue  # no picture of it can be read
+            continue  # none of its pictures can be read
         batch = assemble(data, [Draw(index, 0)], frame, targets=has_target)
         with torch.no_grad():
-            points = (
-                network(torch.as_tensor(batch.images, device=device))[0]
-                .cpu()
-                .numpy()
-                .astype(np.float64)
-            )
+            (cloud,) = network(torch.as_tensor(batch.images, device=device))
+        points = cloud.cpu().numpy().astype(np.float64)
         target = batch.targets[0].astype(np.float64) if batch.targets else None
         distance = None if target is None else chamfer(points, target).chamfer
         samples.append(Sample(data.objects[index].name, batch.images[0], points, target, distance))
@@ -69,7 +64,7 @@ def sample_predictions(
 
 
 def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64]:
-    """The mean of the last ``window`` values at each; of fewer at the start."""
+    """The mean of the last ``window`` values at each place; of fewer values at the start."""
     sums = np.concatenate([[0.0], np.cumsum(values)])
     ends = np.arange(1, len(values) + 1)
     starts = np.maximum(ends - window, 0)
@@ -77,7 +72,7 @@ def running_mean(values: NDArray[np.float64], window: int) -> NDArray[np.float64
 
 
 def lambda_drop(log: TrainingLog) -> int | None:
-    """The first step with a smaller lambda than the step before; None if there is none."""
+    """The first step with a smaller lambda than the step before; None if there is no such step."""
     if "lambda" not in log.columns:
         return None
     drops = np.flatnonzero(np.diff(log.columns["lambda"]) < 0.0)
@@ -85,15 +80,13 @@ def lambda_drop(log: TrainingLog) -> int | None:
 
 
 def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False) -> None:
-    """Draw the loss and its terms over the steps, raw values faint under their running mean, logarithmic.
+    """Draw the loss and its terms over the steps, on a logarithmic scale.
 
-    A dotted line marks the drop of lambda. Raises InputError if ``path`` cannot be written.
+    Raw values are faint, under their running mean. A dotted line marks the drop of lambda. Raises
+    InputError if ``path`` cannot be written.
     """
-    terms = list(
-        dict.fromkeys(
-            name for log in logs for name in log.columns if name not in ("step", "lambda")
-        )
-    )
+    names = dict.fromkeys(name for log in logs for name in log.columns)
+    terms = [name for name in names if name not in ("step", "lambda")]
     with page(path, overwrite, (1.2 + 4.0 * len(terms), 4.2)) as figure:
         axes = dict(zip(terms, figure.subplots(1, len(terms), squeeze=False)[0], strict=True))
         handles: dict[str, Any] = {}
@@ -103,9 +96,9 @@ def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False
                 if name not in log.columns:
                     continue
                 values = log.columns[name]
-                stride = max(1, len(values) // MOST_POINTS)
+                stride = max(1, len(values) // MOST_VALUES)
                 steps = log.columns["step"][::stride]
-                means = running_mean(values, max(1, round(WINDOW * len(values))))[::stride]
+                means = running_mean(values, max(1, round(MEAN_WINDOW * len(values))))[::stride]
                 axes[name].plot(steps, values[::stride], color=colour, alpha=0.2, linewidth=0.6)
                 (handles[label],) = axes[name].plot(steps, means, color=colour, linewidth=1.6)
                 if drop is not None:
@@ -115,25 +108,19 @@ def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False
         for name, axis in axes.items():
             axis.set_title(name)
             axis.set_xlabel("step")
-            # The affinity loss is 0 throughout if its weight is.
+            # The affinity loss is 0 in all steps if its weight is 0.
             if any((log.columns[name] > 0.0).any() for log in logs if name in log.columns):
                 axis.set_yscale("log")
-        columns = min(4, len(handles))
-        figure.legend(
-            list(handles.values()),
-            list(handles),
-            loc="outside lower center",
-            ncols=columns,
-            frameon=False,
-        )
+        place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(4, len(handles))}
+        figure.legend(list(handles.values()), list(handles), frameon=False, **place)
 
 
 def draw_samples(
     path: Path, samples: Sequence[Sample], scale: str, overwrite: bool = False
 ) -> None:
-    """Draw a row for each sample: the picture, and prediction and target from the front and from the right.
+    """Draw a row for each sample: the picture, prediction and target from the front and the right.
 
-    ``scale`` of the clouds in words. Raises InputError if ``path`` cannot be written.
+    ``scale`` is the scale of the clouds in words. Raises InputError if ``path`` cannot be written.
     """
     with page(path, overwrite, (11.0, 2.3 * len(samples)), frames=True) as figure:
         axes = figure.subplots(len(samples), 5, squeeze=False)
@@ -166,7 +153,7 @@ def _draw_sample(row: Sequence[Any], sample: Sample) -> None:
     for number, cloud in enumerate((sample.points, sample.target, sample.points, sample.target), 1):
         row[number].set(aspect="equal", xlim=(-half, half), ylim=(-half, half))
         if cloud is not None:
-            # From the right, the viewer's side (z) is to the left.
+            # Seen from the right, the viewer's side (z) is on the left.
             across, depth = (
                 (cloud[:, 0], cloud[:, 2]) if number <= 2 else (-cloud[:, 2], cloud[:, 0])
             )
@@ -177,7 +164,7 @@ def _draw_sample(row: Sequence[Any], sample: Sample) -> None:
 
 
 def labels(logs: Sequence[TrainingLog]) -> list[str]:
-    """The name of each log's file, with its folder where names coincide."""
+    """The name of each log's file, with its folder if several logs have the same name."""
     stems = [log.path.stem for log in logs]
     folders = [
         f"{log.path.resolve().parent.name}/" if stems.count(log.path.stem) > 1 else ""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.footprint import Seen, common_window, in_window
+from ..evaluation.footprint import WindowImages, common_window, in_window
 from ..geometry.view import View
 from ..refinement import RefineResult
 
@@ -25,60 +25,59 @@ if TYPE_CHECKING:
 Colour = tuple[float, float, float]
 
 # Safe for colour-blind readers.
-AGREED, MISSING, STRAY = (0.62, 0.65, 0.68), (0.0, 0.45, 0.70), (0.90, 0.45, 0.0)
+AGREED, MISSING, EXTRA = (0.62, 0.65, 0.68), (0.0, 0.45, 0.70), (0.90, 0.45, 0.0)
 UNKNOWN = (0.93, 0.90, 0.80)
 LEGEND_ENTRIES = (
     (AGREED, "agree"),
     (MISSING, "mask without silhouette"),
-    (STRAY, "silhouette without mask"),
+    (EXTRA, "silhouette without mask"),
     (UNKNOWN, "unknown"),
 )
-# From near to far: yellow, green, blue, violet, each darker than the one before.
+# Colours of points from near to far: yellow, green, blue, violet, each darker than the one before.
 NEAR_TO_FAR = np.array(
     [(253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84)], np.float64
 )
 
-# Pixels: the side of a panel, the space around it, the height of its title, and that of the legend.
+# Pixels: side of a panel, space around it, height of its title, height of the legend.
 PANEL, GAP, TITLE, LEGEND = 340, 24, 32, 44
 # Supersampling of the dots.
 FINE = 3
-# Views in one picture.
+# Most views in one picture.
 MOST_ROWS = 6
-# Of PNG: 60 % of the time and 108 % of the size of the usual 6.
+# Compression level of PNG: 60 % of the time and 108 % of the size of the default level 6.
 COMPRESSION = 1
 
 
-def compare(seen: Seen) -> NDArray[np.float64]:
-    """[H, W, 3] picture: grey where mask and silhouette agree, blue and orange where one is without the other."""
-    picture = np.ones((*seen.mask.shape, 3))
-    picture[seen.mask & seen.silhouette] = AGREED
-    picture[seen.mask & ~seen.silhouette] = MISSING
-    picture[~seen.mask & seen.silhouette] = STRAY
-    if seen.known is not None:
-        picture[~seen.known] = UNKNOWN
+def compare(images: WindowImages) -> NDArray[np.float64]:
+    """Picture [H, W, 3] of mask and silhouette, in the colours of `LEGEND_ENTRIES`."""
+    picture = np.ones((*images.mask.shape, 3))
+    picture[images.mask & images.silhouette] = AGREED
+    picture[images.mask & ~images.silhouette] = MISSING
+    picture[~images.mask & images.silhouette] = EXTRA
+    if images.known is not None:
+        picture[~images.known] = UNKNOWN
     return picture
 
 
 def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> None:
     """Write a picture of a result to ``path``.
 
-    One view: rows before and after, with mask against silhouette, the cloud from the camera, and from its right. Several: a row
-    for each of at most six. Masks and silhouettes are cropped to the square in which their IoU is taken.
+    For one view there are two rows, before and after: mask against silhouette, the cloud seen from
+    the camera, and the cloud seen from the camera's right. For several views there is one row each,
+    for at most six views. Masks and silhouettes are cropped to the square in which their IoU is
+    measured.
     """
     heading = None
     if len(views) == 1:
         rows = _before_and_after(result, views[0])
     else:
-        chosen = (
-            np.linspace(0, len(views) - 1, min(len(views), MOST_ROWS)).round().astype(int).tolist()
-        )
-        rows = [_row_of_view(result, views, number) for number in chosen]
-        shown = (
-            f"{len(views)} views"
-            if len(chosen) == len(views)
-            else f"{len(chosen)} of {len(views)} views, evenly chosen"
-        )
-        heading = f"{shown}: mask against silhouette before and after, and the refined cloud from each camera"
+        chosen = np.linspace(0, len(views) - 1, min(len(views), MOST_ROWS)).round().astype(int)
+        rows = [_row_of_view(result, views, number) for number in chosen.tolist()]
+        which = f"{len(views)} views"
+        if len(chosen) < len(views):
+            which = f"{len(chosen)} of {which}, evenly chosen"
+        what = "mask against silhouette before and after, and the refined cloud from each camera"
+        heading = f"{which}: {what}"
     entries = LEGEND_ENTRIES[:3] if all(view.known is None for view in views) else LEGEND_ENTRIES
     _draw(rows, heading, entries).save(path, format="PNG", compress_level=COMPRESSION)
 
@@ -88,10 +87,11 @@ def _before_and_after(result: RefineResult, view: View) -> list[Row]:
         ("before", "after"),
         _silhouettes(result, view, 0),
         _from_camera(result, view),
-        result.view_ious[0],
+        (result.views[0].iou_before, result.views[0].iou_after),
         strict=True,
     )
-    # OpenCV axes: x right, y down, z away. Seen from the right of the camera, z points to the right.
+    # The camera's axes: x right, y down, z away. Seen from the camera's right, z points to the
+    # right.
     return [
         [
             (f"{name}: IoU {iou:.3f}", silhouette),
@@ -103,22 +103,18 @@ def _before_and_after(result: RefineResult, view: View) -> list[Row]:
 
 
 def _row_of_view(result: RefineResult, views: Sequence[View], number: int) -> Row:
-    view, (before, after), weight = (
-        views[number],
-        result.view_ious[number],
-        result.view_weights[number],
-    )
+    view, fit = views[number], result.views[number]
     silhouette_before, silhouette_after = _silhouettes(result, view, number)
     return [
-        (f"view {number + 1} before: IoU {before:.3f}", silhouette_before),
-        (f"after: IoU {after:.3f}, weight {weight:.2f}", silhouette_after),
+        (f"view {number + 1} before: IoU {fit.iou_before:.3f}", silhouette_before),
+        (f"after: IoU {fit.iou_after:.3f}, weight {fit.loss_weight:.2f}", silhouette_after),
         (f"after: from camera {number + 1}", _dots(*_from_camera(result, view)[1])),
     ]
 
 
 def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
-    """[3, N] the clouds before and after in the camera's axes, normalised together to fit a panel."""
-    rotated = [points @ view.camera.R.T for points in result.judged]
+    """The clouds [3, N] before and after in the camera's axes, scaled alike to fit a panel."""
+    rotated = [points @ view.camera.R.T for points in result.measured]
     low = np.min([points.min(0) for points in rotated], axis=0)
     high = np.max([points.max(0) for points in rotated], axis=0)
     middle, half = (low + high) / 2.0, float((high - low).max()) * 0.53
@@ -126,11 +122,11 @@ def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
 
 
 def _silhouettes(result: RefineResult, view: View, number: int) -> list[Image.Image]:
-    """Mask against silhouette before, from the given camera, and after, from the refined one."""
-    before, after = result.judged
+    """Mask against silhouette, before (given camera) and after (refined camera)."""
+    before, after = result.measured
     stages = (before, view), (after, replace(view, camera=result.cameras[number]))
     box = common_window(stages)
-    return [_fitted(compare(in_window(points, seen, box))) for points, seen in stages]
+    return [_fitted(compare(in_window(points, stage, box))) for points, stage in stages]
 
 
 def _draw(
@@ -181,7 +177,7 @@ def _fitted(colours: NDArray[np.float64]) -> Image.Image:
 def _dots(
     across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray[np.float64]
 ) -> Image.Image:
-    """A panel of points with coordinates in [-1, 1] to the right and down; nearer ones hide farther ones."""
+    """A panel of points; ``across`` and ``down`` are in [-1, 1]. Near points hide far points."""
     from PIL import Image
 
     side = PANEL * FINE
@@ -192,7 +188,7 @@ def _dots(
     pixel = np.rint((np.stack([across, down]) + 1.0) * (side / 2)).astype(np.int64)
     shade = np.rint(np.interp(depth, (depth.min(), depth.max()), (0.0, 254.0))).astype(np.uint8)
     canvas = np.full(side * side, 255, np.uint8)
-    # Of several assignments to one pixel the last holds.
+    # If several points are assigned to one pixel, the last one stays.
     canvas[((pixel[1] * side + pixel[0])[order, None] + disc).ravel()] = shade[order].repeat(
         len(disc)
     )

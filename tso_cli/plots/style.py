@@ -1,4 +1,4 @@
-"""Colours of all charts, and figures that are written to files."""
+"""The colours of all charts, and figures that are written to files."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ COLOURS = (BETTER, WORSE, "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 def page(
     path: Path, overwrite: bool, size: tuple[float, float], dpi: int = 110, frames: bool = False
 ) -> Iterator[Any]:
-    """A figure of ``size`` inches, written to ``path`` in 256 colours after the block; InputError if it cannot be written.
+    """A figure of ``size`` inches, written to ``path`` in 256 colours after the block.
 
-    Without ``frames`` charts get no top and right spines, and images none.
+    Without ``frames`` charts have no top and right spine, and images have no spines. Raises
+    InputError if the file cannot be written.
     """
     check_output(path, overwrite)
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -15,9 +15,10 @@ def text_table(
     decimals: int = 3,
     rule_before_last: bool = False,
 ) -> str:
-    """Columns two spaces apart, text to the left, numbers to the right; without a final newline.
+    """A table with columns two spaces apart, text to the left, numbers to the right.
 
-    Floats show ``decimals`` decimals (small ones 3 digits), None and NaN a dash. ``rule_before_last`` sets off the last row.
+    It has no final newline. A float has ``decimals`` decimals, or 3 digits if it is small; None and
+    NaN are a dash. ``rule_before_last`` puts a line above the last row.
     """
     texts = [[_text(cell, decimals) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *texts, strict=True)]
@@ -46,7 +47,7 @@ def _text(cell: Cell, decimals: int) -> str:
     if isinstance(cell, str):
         return cell
     if isinstance(cell, Real) and not hasattr(cell, "__index__"):
-        # Fixed decimals would show a small number as 0.000.
+        # With fixed decimals a small number would read 0.000.
         small = cell != 0 and abs(float(cell)) < 10.0 ** (1 - decimals)
         return f"{float(cell):.3g}" if small else f"{float(cell):.{decimals}f}"
     return str(cell)

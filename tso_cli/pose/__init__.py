@@ -1,3 +1,3 @@
-"""The camera of a picture, from its mask and a cloud alone, in numpy."""
+"""The camera of a picture, estimated from its mask and a cloud alone, in numpy."""
 
 from .fit import Alternative, FittedCamera, fit_camera

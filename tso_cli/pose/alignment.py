@@ -1,4 +1,7 @@
-"""Poses of a cloud relative to a mask, improved by Gauss-Newton on two-way nearest neighbours in the image."""
+"""Poses of a cloud relative to a mask, improved by Gauss-Newton steps.
+
+Residuals are distances between nearest neighbours in the image, both ways.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +11,37 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.rotations import Array, from_vectors
+from ..geometry.arrays import Array
+from ..geometry.rotations import from_vectors
 
-# Largest scale / focal: points of a cloud of radius 0.87 (longest side 1) keep at least a tenth of the centre's depth.
+# Largest scale / focal. With this value the points of a cloud of radius 0.87 (longest side 1) keep
+# at least a tenth of the depth of its centre.
 LARGEST_NEARNESS = 1.0
-# Distances below this, px, are within the pixel and count as zero.
+# Least depth of a point relative to the centre's depth; nearer points are projected from here.
+LEAST_RELATIVE_DEPTH = 0.05
+# Distances under half a pixel, px, are inside a pixel and count as 0.
 TOLERANCE = 0.5
+# The linear model holds for steps up to this, in radians and in logarithms of scale and focal
+# length.
+LARGEST_STEP = 0.4
+# Levenberg-Marquardt damping, relative and absolute.
+DAMPING, LEAST_DAMPING = 1e-3, 1e-6
+# One standard deviation of the prior on the focal length weighs as much as residuals of this share
+# of the image, and this weight fixes the focal length.
+PRIOR_RESIDUAL, FIXED_WEIGHT = 0.02, 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """P poses of one cloud of longest side 1 whose centre is the origin.
+    """P poses of one cloud of longest side 1 with its centre at the origin.
 
-    ``scale`` and ``focal`` separate size from perspective: the depth of the centre is focal / scale.
+    ``scale`` gives the size and ``focal`` the perspective. The depth of the centre is focal /
+    scale.
     """
 
     R: Array  # [P, 3, 3] world to camera
     centre: Array  # [P, 2] pixel of the cloud's centre
-    scale: Array  # [P] px a unit at the depth of the centre
+    scale: Array  # [P] px per unit at the depth of the centre
     focal: Array  # [P] px
 
     def __len__(self) -> int:
@@ -37,15 +53,12 @@ class Poses:
     @classmethod
     def joined(cls, parts: Sequence[Poses]) -> Poses:
         """The poses of several batches in one."""
-        return cls(
-            *(
-                np.concatenate([getattr(part, field.name) for part in parts])
-                for field in fields(cls)
-            )
-        )
+        names = (field.name for field in fields(cls))
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     def resized(self, factor: float) -> Poses:
-        """The same poses for an image with ``factor`` times as many pixels along a side (pixel centres at integers)."""
+        """The same poses for an image with ``factor`` times as many pixels along a side."""
+        # Pixel centres lie at integers.
         centre = (self.centre + 0.5) * factor - 0.5
         return Poses(self.R, centre, self.scale * factor, self.focal * factor)
 
@@ -56,11 +69,11 @@ class Target:
 
     mask: Array  # [S, S] in [0, 1]
     known: Array  # [S, S] weight of each pixel
-    principal: Array  # [2] of the whole picture, in these pixels
-    truncated: bool  # the object leaves the picture, so that points outside of it are no error
+    principal: Array  # [2] principal point of the whole picture, in these pixels
+    truncated: bool  # the picture cuts off the object, so points outside the picture are no error
 
     def foreground(self) -> NDArray[np.bool_]:
-        """[S, S] the object: known pixels covered more than half as much as the best covered one, for thin objects."""
+        """[S, S] the object: known pixels with over half of the largest coverage."""
         observed = self.mask * (self.known > 0.0)
         return np.asarray(observed > 0.5 * observed.max())
 
@@ -70,10 +83,10 @@ class Target:
 
 
 def project(points: Array, poses: Poses, principal: Array) -> tuple[Array, Array, Array]:
-    """Pixels [P, N, 2] of ``points`` [N, 3], the rotated points [P, N, 3] and 1 / relative depth [P, N]."""
+    """Pixels [P, N, 2] of ``points`` [N, 3], rotated points [P, N, 3], inverse depth [P, N]."""
     rotated = points @ poses.R.transpose(0, 2, 1)
     nearness = (poses.scale / poses.focal)[:, None]
-    inverse = 1.0 / np.maximum(1.0 + nearness * rotated[..., 2], 0.05)
+    inverse = 1.0 / np.maximum(1.0 + nearness * rotated[..., 2], LEAST_RELATIVE_DEPTH)
     plane = poses.scale[:, None, None] * rotated[..., :2] + (poses.centre - principal)[:, None]
     return principal + plane * inverse[..., None], rotated, inverse
 
@@ -86,28 +99,37 @@ def improve(
     prior: tuple[float | Array, float],
     robust: float,
 ) -> Poses:
-    """Gauss-Newton steps: each mask pixel attracts the nearest projected point, each stray point the nearest mask pixel.
+    """Gauss-Newton steps that bring projected points and mask pixels together.
 
-    The cloud ``points`` [N, 3] has longest side 1 and is centred. ``prior`` on the focal length: its mean, px (one, or [P]),
-    and the standard deviation of its logarithm; 0 fixes it. Distances d, px, have the weight 1 / (1 + (d / ``robust``)^2).
+    Each mask pixel attracts the nearest projected point, and the nearest mask pixel attracts each
+    point outside the mask.
+
+    Parameters
+    ----------
+    points : [N, 3] a centred cloud of longest side 1.
+    prior : mean of the focal length, px (one, or [P]), and standard deviation of its logarithm; 0
+        fixes the focal length.
+    robust : scale in px; a distance d has the weight 1 / (1 + (d / ``robust``)^2).
     """
     pixels = target.inside()
     for _ in range(steps):
         px, rotated, inverse = project(points, poses, target.principal)
         to_point, to_pixel = _nearest(pixels, px)
         rows = np.arange(len(poses))[:, None]
-        # Index, displacement and weight of each pair; the two directions weigh the same in all.
+        # Index, offset and weight of each pair. Both directions have the same total weight.
         all_points = np.broadcast_to(np.arange(len(points)), to_pixel.shape)
-        missing = to_point, pixels - px[rows, to_point], np.full(to_point.shape, 1.0 / len(pixels))
-        stray = all_points, pixels[to_pixel] - px, _stray_weights(px, target) / len(points)
+        of_pixels = (
+            to_point, pixels - px[rows, to_point], np.full(to_point.shape, 1.0 / len(pixels))
+        )  # fmt: skip
+        of_points = all_points, pixels[to_pixel] - px, _comparable(px, target) / len(points)
         jacobian = _jacobian(px - target.principal, rotated, inverse, poses)
         normal, gradient = np.zeros((len(poses), 7, 7)), np.zeros((len(poses), 7))
-        for index, displacement, pair_weight in (missing, stray):
-            distance = np.linalg.norm(displacement, axis=2)
+        for index, offset, pair_weight in (of_pixels, of_points):
+            distance = np.linalg.norm(offset, axis=2)
             beyond = np.maximum(1.0 - TOLERANCE / np.maximum(distance, TOLERANCE), 0.0)
             weight = np.sqrt(pair_weight * (beyond > 0.0) / (1.0 + np.square(distance / robust)))
             J: Array = (jacobian[rows, index] * weight[..., None, None]).reshape(len(poses), -1, 7)
-            residual = (displacement * (beyond * weight)[..., None]).reshape(len(poses), -1, 1)
+            residual = (offset * (beyond * weight)[..., None]).reshape(len(poses), -1, 1)
             normal += J.transpose(0, 2, 1) @ J
             gradient += (J.transpose(0, 2, 1) @ residual)[..., 0]
         poses = _step(poses, normal, gradient, prior, target.mask.shape[0])
@@ -115,7 +137,10 @@ def improve(
 
 
 def _nearest(pixels: Array, px: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """For each pixel [M, 2] the nearest of the points [P, N, 2], and for each point the nearest pixel: [P, M], [P, N]."""
+    """The nearest point of each pixel [P, M], and the nearest pixel of each point [P, N].
+
+    ``pixels`` are [M, 2], and the points ``px`` [P, N, 2].
+    """
     a, b = pixels.astype(np.float32), px.astype(np.float32)
     squared = b @ (-2.0 * a.T)  # [P, N, M]
     squared += np.square(a).sum(1)
@@ -124,8 +149,11 @@ def _nearest(pixels: Array, px: Array) -> tuple[NDArray[np.int64], NDArray[np.in
     return squared.argmin(1), to_pixel
 
 
-def _stray_weights(px: Array, target: Target) -> Array:
-    """[P, N] 1 where a point may be stray: on known pixels, and outside the mask unless the object is truncated."""
+def _comparable(px: Array, target: Target) -> Array:
+    """[P, N] weight: 1 for a point that can be compared with the mask, 0 for other points.
+
+    These are points on known pixels and, unless the object is truncated, points outside the square.
+    """
     size = target.mask.shape[0]
     cell = np.rint(px)
     within = ((cell >= 0) & (cell < size)).all(2)
@@ -135,12 +163,13 @@ def _stray_weights(px: Array, target: Target) -> Array:
 
 
 def _jacobian(offset: Array, rotated: Array, inverse: Array, poses: Poses) -> Array:
-    """[P, N, 2, 7] derivative of pixels by rotation vector, centre, log scale and log focal."""
+    """[P, N, 2, 7] derivative of pixels by rotation vector, centre, log scale, log focal length."""
     nearness = (poses.scale / poses.focal)[:, None]
     J = np.zeros((*offset.shape, 7))
     x, y, z = np.moveaxis(rotated, -1, 0)
     scale = poses.scale[:, None]
-    # Depth enters through d = 1 + nearness z: the pixel's offset falls by offset * nearness dz / d.
+    # The relative depth is d = 1 + nearness z, so the offset of a pixel falls by offset * nearness
+    # dz / d.
     for axis, (dx, dy, dz) in enumerate(((0.0 * x, -z, y), (z, 0.0 * x, -x), (-y, x, 0.0 * x))):
         J[..., 0, axis] = (scale * dx - offset[..., 0] * nearness * dz) * inverse
         J[..., 1, axis] = (scale * dy - offset[..., 1] * nearness * dz) * inverse
@@ -156,15 +185,14 @@ def _step(
 ) -> Poses:
     """One damped step of each pose."""
     focal, deviation = prior
-    # One standard deviation weighs as much as residuals of a fiftieth of the image.
-    prior_weight = 1e9 if deviation == 0.0 else (0.02 * size / deviation) ** 2
+    prior_weight = FIXED_WEIGHT if deviation == 0.0 else (PRIOR_RESIDUAL * size / deviation) ** 2
     normal[:, 6, 6] += prior_weight
     gradient[:, 6] += prior_weight * np.log(focal / poses.focal)
     diagonal = np.einsum("pii->pi", normal)
-    diagonal += 1e-3 * diagonal + 1e-6
+    diagonal += DAMPING * diagonal + LEAST_DAMPING
     step: Array = np.asarray(np.linalg.solve(normal, gradient[..., None])[..., 0], np.float64)
-    # The linear model holds for steps of up to 0.4 radian, or 0.4 in the logarithms of scale and focal length.
-    step /= np.maximum(np.abs(step[:, [0, 1, 2, 5, 6]]).max(1, keepdims=True) / 0.4, 1.0)
+    largest = np.abs(step[:, [0, 1, 2, 5, 6]]).max(1, keepdims=True)
+    step /= np.maximum(largest / LARGEST_STEP, 1.0)
     scale = poses.scale * np.exp(step[:, 5])
     focal = np.maximum(poses.focal * np.exp(step[:, 6]), scale / LARGEST_NEARNESS)
     return Poses(from_vectors(step[:, :3]) @ poses.R, poses.centre + step[:, 3:5], scale, focal)

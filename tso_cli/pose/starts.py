@@ -5,22 +5,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry.rotations import Array, angle_between, spread
+from ..geometry.arrays import Array
+from ..geometry.rotations import angle_between, spread
 from .alignment import Poses, Target, project
 
-# Viewing directions 16 degrees apart, each with in-plane turns of 20 degrees.
+# 150 viewing directions, 16 degrees apart, and for each 18 in-plane rotations, 20 degrees apart.
 DIRECTIONS, TURNS = 150, 18
-# Poses scored at once; bounds memory.
+# Poses that are scored at once; it bounds the memory.
 AT_ONCE = 600
-# Cells around the image that collect the points outside of it.
+# Width in cells of the border around the image that collects the points outside the image.
 BORDER = 2
 
 
 def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
     """Starting poses over all directions, and their scores (`coarse_iou`).
 
-    Scale and centre give the box of the projected ``points`` [N, 3] (longest side 1, centred) the area and the middle of the
-    mask's box. ``focal`` is in px of the target.
+    With its scale and centre, the box of the projected ``points`` [N, 3] (longest side 1, centred)
+    has the area and the middle of the mask's box. ``focal`` is in px of the target.
     """
     rotations = spread(DIRECTIONS, TURNS)
     inside = target.inside()
@@ -34,7 +35,8 @@ def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
             np.full(len(R), min(size, focal)),
             np.full(len(R), focal),
         )
-        # The box is only about proportional to the scale, because of perspective; two iterations are enough.
+        # Because of perspective the box is only roughly proportional to the scale. Two iterations
+        # are enough.
         for _ in range(2):
             px, _, _ = project(points, poses, target.principal)
             first, last = px.min(1), px.max(1)
@@ -47,9 +49,9 @@ def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
 
 
 def coarse_iou(points: Array, poses: Poses, target: Target) -> Array:
-    """Soft IoU [P] of the mask and the cells that points fall in, both dilated.
+    """Soft IoU [P] of the mask and the cells of the points, both dilated.
 
-    Dilating only the points would favour poses that make the cloud small and so dense.
+    If only the points were dilated, poses that make the cloud small and dense would score best.
     """
     size = target.mask.shape[0]
     px, _, _ = project(points, poses, target.principal)
@@ -73,7 +75,7 @@ def coarse_iou(points: Array, poses: Poses, target: Target) -> Array:
 
 
 def _dilated(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """A covered cell covers the cells beside it too, and half of those diagonal to it; at most 1."""
+    """A covered cell also covers its four neighbours, and half of its diagonal ones; at most 1."""
     soft = 2.0 * image
     for axis in (1, 2):
         soft = soft + 0.5 * (np.roll(soft, 1, axis) + np.roll(soft, -1, axis))
@@ -82,31 +84,31 @@ def _dilated(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def closed_iou(points: Array, poses: Poses, target: Target, radius: float) -> Array:
-    """IoU [P] of mask and cloud, both dilated by ``radius`` (units of the cloud), which closes the gaps between points.
+    """IoU [P] of mask and cloud, both dilated by ``radius`` (units of the cloud).
 
-    Unlike the IoU of a Gaussian silhouette it depends neither on the cloud's density nor on its size in the picture.
+    The dilation closes the gaps between points. Unlike the IoU of a Gaussian silhouette, this IoU
+    depends neither on the density of the cloud nor on its size in the picture. Unlike
+    `tso_cli.evaluation.footprint`, its coverage is soft at the border of a shape, so that it ranks
+    poses that differ by less than a pixel.
     """
     from scipy.ndimage import distance_transform_edt
 
     size = target.mask.shape[0]
-    grid = (
-        np.indices((size, size))[::-1].reshape(2, -1).T.astype(np.float32)
-    )  # [S S, 2] column, row
+    # [S S, 2] column and row
+    grid = np.indices((size, size))[::-1].reshape(2, -1).T.astype(np.float32)
     to_mask = distance_transform_edt(~target.foreground())
     scores = np.empty(len(poses))
-    for i, (px, scale) in enumerate(
-        zip(project(points, poses, target.principal)[0], poses.scale, strict=True)
-    ):
+    pixels, _, _ = project(points, poses, target.principal)
+    for i, (px, scale) in enumerate(zip(pixels, poses.scale, strict=True)):
         px = px.astype(np.float32)
         squared = (grid @ (-2.0 * px.T) + np.square(px).sum(1)).min(1) + np.square(grid).sum(1)
         to_point = np.sqrt(np.maximum(squared, 0.0)).reshape(size, size)
-        # Soft coverage of a pixel at the border of a dilated shape.
+        # Coverage of pixels, which is soft at the border of a dilated shape.
         cloud, mask = (
             np.clip(radius * scale + 0.5 - distance, 0.0, 1.0) for distance in (to_point, to_mask)
         )
-        scores[i] = (np.minimum(cloud, mask) * target.known).sum() / (
-            np.maximum(cloud, mask) * target.known
-        ).sum()
+        intersection = (np.minimum(cloud, mask) * target.known).sum()
+        scores[i] = intersection / (np.maximum(cloud, mask) * target.known).sum()
     return scores
 
 

@@ -1,4 +1,4 @@
-"""Settings of a refinement."""
+"""What a caller may choose: `RefineConfig`."""
 
 from __future__ import annotations
 
@@ -6,56 +6,58 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from ..cloud.smooth_field import CONTROL_POINTS
 from ..errors import InputError
 from ..geometry.points import CANDIDATES
 from ..optimisation.presets import (
     BEST,
-    BEST_GAMMA,
-    BEST_LEARNING_RATE,
-    BEST_STEPS,
-    FEWEST_POINTS,
-    FIELD_NODES,
-    FULL,
-    FULL_STEPS,
-    MAX_VIEWS_FOR_STEPS,
+    DEFAULTS,
+    FEWEST_CONTROL_POINTS,
     MODES,
-    PAPER_GAMMA,
-    PAPER_LEARNING_RATE,
-    PAPER_SIGMA_SQ,
-    PAPER_STEPS,
     PRESETS,
-    SHORT_POINTS,
+    SHORT_CONTROL_POINTS,
     SHORT_SECONDS,
+    SIGMA_SQ,
     CoarseToFineConfig,
+    default_steps,
 )
+from ..optimisation.settings import Settings
+from ..optimisation.symmetry import parse_symmetry
 
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Settings of one refinement; None stands for the preset's value.
+    """Settings of one refinement. None stands for the preset's value.
 
     Parameters
     ----------
-    mode : what is optimised: "points", "encoder", "encoder-decoder" (the network's weights), or "latent" (its 128-vector).
-    steps : of the optimiser; 0 returns the start. Paper 50; best 48 in points mode for each view, up to four, twice as many
-        where the start fits several large masks badly, 12 for weights, 30 for the latent vector.
-    learning_rate : for a cloud of longest side 1. Best: how far the point with the largest gradient moves in one of the first
-        steps, 0.04; encoder 3e-5, encoder and decoder 6e-5, latent vector 1e-3. Paper: Adam's, 5e-4, 1e-6, 5e-6.
-    gamma : weight of the Chamfer distance to the start (longest side 1). Best 0; paper 1e6, in encoder mode 0.
-    sigma_sq : variance of the projection's Gaussian in squared cells of the window, which has 64 a side; 0.4, the paper's.
-        Used by the preset "paper" and by ``refine_camera``; the mask Chamfer loss of "best" has no Gaussian.
-    device : where the network is: "cpu", "cuda", "auto" or any name torch knows. Points mode needs none, and is on the CPU.
+    mode : what is optimised: "points", "encoder" or "encoder-decoder" (the network's weights), or
+        "latent" (the vector of 128 numbers between encoder and decoder).
+    steps : of the optimiser; 0 returns the start.
+    learning_rate : for a cloud of longest side 1. With "best" in points mode it is how far the
+        point with the largest gradient moves in one of the first steps; else it is Adam's.
+    gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
+    sigma_sq : variance of the projection's Gaussian in squared cells of a window of 64. The
+        default is the paper's, 0.4. The preset "paper" and ``refine_camera`` use it.
+    device : where the network is: "cpu", "cuda", "auto" or any name torch knows. Points mode has
+        no network, and runs on the CPU.
     preset : "best", or "paper": Eq. 7 with the paper's settings.
-    symmetry : "auto" (best, points mode) searches a mirror plane of the start and uses it if the views agree; "none" (paper);
-        "x", "y", "z": the axis normal to a plane through the middle of the start's bounding box; or "a,b,c,d": the plane
-        ax + by + cz = d.
+    symmetry : "auto" searches a mirror plane of the start and uses it if the views agree; "none";
+        "x", "y", "z": the axis normal to a plane through the middle of the start's bounding box;
+        or "a,b,c,d": the plane ax + by + cz = d. The default is "auto" with "best" in points mode,
+        else "none".
     refine_camera : first correct the camera of each view, held near the given one; points mode.
-    accept_doubtful : take the whole step also where the result is doubtful, in place of a part of it or none.
-    budget : "auto", what the scene is known to gain by; "full" (best, points mode), 96 steps for each view, with the
-        finest grid in every stage; or seconds, in which "auto" comes to its end. Of each cloud of a batch.
-    points : how many points of a cloud, or samples of a mesh (at most 4,096), move by themselves, at most (best, points
-        mode); the others follow. None: 1,024, or 512 with a budget of less than 0.3 seconds a view.
-    coarse_to_fine : settings of the preset "best" of points mode, for ablations.
+    accept_doubtful : take the whole displacement although the result is doubtful.
+    budget : "auto": the steps of the preset; or seconds, in which the refinement ends. In a batch
+        each cloud has so many seconds.
+    points : most control points: points that move by themselves, while the others follow (16 to
+        16,384; of a mesh at most 4,096). With "best" in points mode the default is 1,024, or 512
+        with a budget of less than 0.3 seconds a view. Otherwise all points move.
+    coarse_to_fine : settings of the preset "best" in points mode, for ablations.
+
+    The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
+    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 48 steps for each view,
+    up to four views.
 
     Raises
     ------
@@ -80,152 +82,81 @@ class RefineConfig:
     def __post_init__(self) -> None:
         for name, known in (("mode", MODES), ("preset", PRESETS)):
             if getattr(self, name) not in known:
-                raise InputError(
-                    f"{name} is {getattr(self, name)!r}, expected one of {', '.join(known)}"
-                )
+                found = f"{name} is {getattr(self, name)!r}"
+                raise InputError(f"{found}, expected one of {', '.join(known)}")
         if self.refine_camera and self.mode != "points":
             raise InputError(f"mode is {self.mode!r}, expected points to refine the camera")
-        steps = self.steps
-        if steps is not None and (
-            isinstance(steps, bool) or not isinstance(steps, int) or steps < 0
-        ):
-            raise InputError(f"steps is {steps!r}, expected a whole number, 0 or more")
-        for name, low, high in (
-            ("learning_rate", 0.0, 1e6),
-            ("gamma", -1.0, 1e15),
-            ("sigma_sq", 0.0, 1e9),
-        ):
-            value = getattr(self, name)
-            if value is not None and not (
-                isinstance(value, (int, float)) and low < value <= high and value >= 0.0
-            ):
-                raise InputError(
-                    f"{name} is {value!r}, expected a number {'>= 0' if low else '> 0'}, at most {high:g}"
-                )
+        self._require_whole("steps", 0, None)
+        self._require_whole("points", FEWEST_CONTROL_POINTS, CANDIDATES)
+        self._require_number("learning_rate", 1e6)
+        self._require_number("sigma_sq", 1e9)
+        self._require_number("gamma", 1e15, zero=True)
         if self.mode == "points" and self.device not in ("cpu", "auto"):
             raise InputError(
-                f"device is {self.device!r}, expected cpu or auto: mode points has no network to put there"
+                f"device is {self.device!r}, expected cpu or auto: mode points has no network to "
+                "put there"
             )
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
-        if self.points is not None and (
-            not isinstance(self.points, int) or not FEWEST_POINTS <= self.points <= CANDIDATES
-        ):
-            raise InputError(
-                f"points is {self.points!r}, expected a whole number from {FEWEST_POINTS} to {CANDIDATES:,}"
-            )
-        budget = self.parsed_budget
-        if budget == "full" and self.coarse_to_fine is not BEST:
-            raise InputError(
-                "budget is 'full', which has a coarse_to_fine of its own, found another"
-            )
+        _ = self.budget_seconds
         staged_only = {
             "coarse_to_fine": self.coarse_to_fine is not BEST,
             "points": self.points is not None,
         }
-        for name, used in (staged_only | {"budget full": budget == "full"}).items():
+        for name, used in staged_only.items():
             if used and (self.preset, self.mode) != ("best", "points"):
                 raise InputError(
-                    f"{name} is for mode points with preset best, found {self.mode} with {self.preset}"
+                    f"{name} is for mode points with preset best, "
+                    f"found {self.mode} with {self.preset}"
                 )
 
+    def _require_whole(self, name: str, low: int, high: int | None) -> None:
+        value = getattr(self, name)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if value is None or (whole and low <= value <= (math.inf if high is None else high)):
+            return
+        expected = f"{low} or more" if high is None else f"from {low} to {high:,}"
+        comma = "," if high is None else ""
+        raise InputError(f"{name} is {value!r}, expected a whole number{comma} {expected}")
+
+    def _require_number(self, name: str, most: float, zero: bool = False) -> None:
+        value = getattr(self, name)
+        if value is None:
+            return
+        number = isinstance(value, (int, float))
+        if not (number and (value > 0.0 or (zero and value == 0.0)) and value <= most):
+            sign = ">=" if zero else ">"
+            raise InputError(f"{name} is {value!r}, expected a number {sign} 0, at most {most:g}")
+
     @property
-    def parsed_budget(self) -> str | float:
-        """``budget``, its seconds a number."""
-        return _parse_budget(self.budget)
+    def budget_seconds(self) -> float:
+        """The seconds of ``budget``, which may be given as text; infinite for "auto"."""
+        if self.budget == "auto":
+            return math.inf
+        try:
+            seconds = float(self.budget)
+        except (TypeError, ValueError):
+            seconds = math.nan
+        if isinstance(self.budget, bool) or not 0.0 < seconds < math.inf:
+            raise InputError(f"budget is {self.budget!r}, expected auto or seconds")
+        return seconds
 
     def settings(self, views: int = 1) -> Settings:
-        """The same with the preset's values in place of None, for clouds with ``views`` views each."""
-        best = self.preset == "best"
-        staged = best and self.mode == "points"
-        steps = (staged_steps(views) if staged else BEST_STEPS[self.mode]) if best else PAPER_STEPS
-        rates = BEST_LEARNING_RATE if best else PAPER_LEARNING_RATE
-        gamma = BEST_GAMMA if best else PAPER_GAMMA[self.mode]
+        """The same with the preset's values in place of None, for clouds with ``views`` views."""
+        preset, seconds = DEFAULTS[self.preset, self.mode], self.budget_seconds
+        staged = self.preset == "best" and self.mode == "points"
+        short = seconds < SHORT_SECONDS * views
         defaults: dict[str, Any] = dict(
-            steps=steps,
-            learning_rate=rates[self.mode],
-            gamma=gamma,
+            steps=default_steps(views) if staged else preset.steps,
+            learning_rate=preset.learning_rate,
+            gamma=preset.gamma,
             symmetry="auto" if staged else "none",
-            sigma_sq=PAPER_SIGMA_SQ,
-            points=FIELD_NODES if staged else None,
+            sigma_sq=SIGMA_SQ,
+            points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if staged else None,
         )
-        budget = self.parsed_budget
-        if budget == "full":
-            defaults["steps"] = FULL_STEPS * steps
-        elif isinstance(budget, float) and staged and budget < SHORT_SECONDS * views:
-            defaults["points"] = SHORT_POINTS
         chosen = {
             name: value
             for name, value in vars(self).items()
             if value is not None and name != "budget"
         }
-        if budget == "full":
-            chosen["coarse_to_fine"] = FULL
-        seconds = budget if isinstance(budget, float) else math.inf
-        return Settings(
-            **(defaults | chosen), seconds=seconds, full=budget == "full", given=frozenset(chosen)
-        )
-
-
-@dataclass(frozen=True)
-class Settings:
-    """A `RefineConfig` with every value known.
-
-    points : that move by themselves, None for all. seconds : how long the refinement may take. full : whether the budget is.
-    given : the names of the values that are not the preset's.
-    """
-
-    mode: str
-    preset: str
-    steps: int
-    learning_rate: float
-    gamma: float
-    symmetry: str
-    sigma_sq: float
-    device: str
-    refine_camera: bool
-    accept_doubtful: bool
-    points: int | None
-    seconds: float
-    full: bool
-    coarse_to_fine: CoarseToFineConfig
-    given: frozenset[str]
-
-    @property
-    def staged(self) -> bool:
-        """Whether points move from coarse to fine, and not down the objective of Eq. 7."""
-        return self.preset == "best" and self.mode == "points"
-
-
-def staged_steps(views: int) -> int:
-    """The default of the steps from coarse to fine; `run` may take more."""
-    return BEST_STEPS["points"] * min(views, MAX_VIEWS_FOR_STEPS)
-
-
-def _parse_budget(budget: str | float) -> str | float:
-    """One of auto and full, or seconds, which may be given as text; InputError for anything else."""
-    if isinstance(budget, str) and budget in ("auto", "full"):
-        return budget
-    try:
-        seconds = float(budget)
-    except (TypeError, ValueError):
-        seconds = math.nan
-    if isinstance(budget, bool) or not 0.0 < seconds < math.inf:
-        raise InputError(f"budget is {budget!r}, expected auto, full or seconds")
-    return seconds
-
-
-def parse_symmetry(text: str) -> str | tuple[float, float, float, float]:
-    """One of auto, none, x, y, z, or the four numbers of a,b,c,d; InputError for anything else."""
-    if text in ("auto", "none", "x", "y", "z"):
-        return text
-    expected = "expected auto, none, x, y, z or four numbers a,b,c,d of the plane ax + by + cz = d"
-    try:
-        a, b, c, d = (float(part) for part in text.split(","))
-    except (ValueError, AttributeError):
-        raise InputError(f"symmetry is {text!r}, {expected}") from None
-    if not (1e-100 < math.hypot(a, b, c) < 1e100 and abs(d) < 1e100):
-        raise InputError(
-            f"symmetry is {text!r}, whose normal has no direction or whose numbers are too large; {expected}"
-        )
-    return a, b, c, d
+        return Settings(**(defaults | chosen), seconds=seconds, given=frozenset(chosen))

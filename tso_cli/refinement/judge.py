@@ -1,158 +1,263 @@
-"""What a descent comes to: how far its step is taken, and how far the result agrees with the views."""
+"""What an optimisation comes to: how much of the displacement is taken, and how sure it is."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..cloud.cloud import Array, MovedCloud
-from ..cloud.smooth_field import SmoothField
-from ..diagnosis.confidence import UNJUDGED, Verdict, signs_of
+from ..cloud.cloud import MovedCloud
+from ..diagnosis.confidence import Trust, features_of
+from ..diagnosis.examine import Diagnosis
+from ..diagnosis.findings import Finding
+from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
+from ..geometry.arrays import Array
 from ..geometry.points import CANDIDATES, scattered
 from ..geometry.view import View
-from ..optimisation.loop import Descent
-from ..optimisation.objective import MaskChamferObjective, ViewTargets
-from ..optimisation.presets import BEST_STEPS, FEWEST_POINTS, STAGES
+from ..losses.chamfer import ChamferToStart
+from ..optimisation.loop import Optimised
+from ..optimisation.objective import MaskChamferObjective
+from ..optimisation.optimise import Weighed
+from ..optimisation.presets import BEST_POINTS, FEWEST_CONTROL_POINTS, STAGES
 from ..optimisation.problem import Problem
-from ..optimisation.view_weights import ViewWeights
-from .config import Settings
-from .result import StopReason
+from ..optimisation.settings import Settings
+from .decisions import decisions
+from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
 
-# A start of lower IoU hardly touches its mask, as a pole beside its own: coming nearer need not raise the IoU.
+Ious = list[tuple[float, float]]  # of each view, before and after
+
+# A start of lower IoU hardly touches its mask, as a pole beside its own mask: coming nearer need
+# not raise the IoU.
 FEEBLE_IOU = 0.1
-# Results of fewer steps are not judged.
-FEWEST_STEPS = BEST_STEPS["points"] // 4
+# With fewer steps there is no confidence: what a few steps leave undone looks like a mistake.
+FEWEST_STEPS = BEST_POINTS.steps // 4
+# A view with a lower inlier weight is a finding.
+CONTRADICTED_WEIGHT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What a descent comes to. taken : share of its step that is; unmoved : why none is."""
+class _Judged:
+    """What becomes of a displacement."""
 
     moved: MovedCloud
-    ious: list[tuple[float, float]]  # of each view, before and after
-    verdict: Verdict = UNJUDGED
-    taken: float = 1.0
-    unmoved: StopReason | None = None
-    signs: dict[str, float] = dataclasses.field(default_factory=dict)
-
-    def loss(self, start: Array, descent: Descent) -> float:
-        """By the last objective of the ``descent`` from ``start`` [N, 3]."""
-        if self.unmoved:
-            return 0.0 if self.unmoved == "nothing_to_do" else descent.first_loss
-        if self.taken == 1.0 or descent.objective is None:
-            return descent.best_loss
-        return descent.objective(start + self.taken * (descent.best - start))[0]
+    ious: Ious
+    trust: Trust
+    outcome: Outcome
+    stop_reason: StopReason | None = None  # why the start is kept
 
 
-def judged(
+def judge(
+    weighed: Weighed,
     problem: Problem,
-    given_views: Sequence[View],
-    descent: Descent,
-    field: SmoothField | None,
-    view_weights: ViewWeights,
+    optimised: Optimised,
+    given: Sequence[View],
+    diagnosis: Diagnosis,
     settings: Settings,
-) -> Outcome:
-    """The step of a descent, taken whole, or in part or not at all where it is likely to make the cloud worse.
+    seconds: dict[str, float],
+) -> RefineResult:
+    """The result of an optimisation.
 
-    ``problem`` has its last windows; ``field`` is of the start; ``view_weights`` are of the views that were given.
+    The displacement is taken as a whole, or in part or not at all where it is likely to make the
+    cloud worse. ``problem`` has the last windows, ``given`` are the views with the cameras that
+    were given.
+
+    Raises TsoError where the loss of the start, or after the first step, is not a finite number.
     """
-    step = descent.best - problem.cloud.normalised()
-    outcome = _after(problem, given_views, step)
-    # Corrected cameras may lower the IoU rightly.
-    compared = settings.staged and problem.views == given_views
-    fits = problem.cloud.partial and compared and problem.masks_alone
-    before, after = _misfits(problem, outcome.moved, view_weights.loss) if fits else (1.0, 0.0)
-    if (
-        descent.best_step == 0
-        or after >= before
-        or (compared and _agrees_less(problem, outcome.ious, view_weights.loss))
-    ):
-        unmoved = problem.cloud.moved(np.zeros_like(step))
-        ious = [(start, start if descent.best_step else end) for start, end in outcome.ious]
-        reason: StopReason = "not_improved" if before else "nothing_to_do"
-        return Outcome(
-            unmoved, ious, Verdict.unchanged(problem.suspicion), taken=0.0, unmoved=reason
+    losses = [loss for loss in optimised.losses if np.isfinite(loss)]
+    if not losses:
+        raise TsoError("the loss of the start is not a finite number")
+    if len(losses) == 1 and len(optimised.losses) > 1:
+        raise TsoError(
+            "the loss is not a finite number after the first step (a smaller learning rate?)"
         )
-    signs: dict[str, float] = {}
-    unjudged = _why_unjudged(problem, descent, settings)
-    if unjudged is not None:
-        verdict = (
-            Verdict("doubtful", None, problem.suspicion)
-            if problem.suspicion
-            else Verdict(None, None, unjudged)
+    judged = _judged(weighed, problem, optimised, given, diagnosis, settings)
+    cloud, moved, weights = problem.cloud, judged.moved, weighed.weights
+    lengths = np.linalg.norm(moved.displacements, axis=1)
+    chamfer, _ = ChamferToStart(cloud.start)(cloud.start + moved.displacements)
+    iou_before, iou_after = np.mean(judged.ious, 0).tolist()
+    fit = Fit(
+        outcome=judged.outcome,
+        steps=optimised.steps,
+        best_step=optimised.best_step if judged.outcome == "moved" else 0,
+        stop_reason=_stop_reason(optimised, judged, settings.steps),
+        losses=losses,
+        loss_before=0.0 if judged.stop_reason == "nothing_to_do" else optimised.first_loss,
+        loss_after=_loss_after(problem, optimised, judged),
+        iou_before=iou_before,
+        iou_after=iou_after,
+        moved_mean=float(lengths.mean()),
+        moved_max=float(lengths.max()),
+        chamfer_to_initial=chamfer,
+    )
+    views = tuple(
+        ViewFit(
+            name=view.name,
+            camera=windowed.view.camera,
+            iou_before=before,
+            iou_after=after,
+            inlier_weight=inlier,
+            loss_weight=loss,
+            window=windowed.resampled.box,
+            cells=windowed.resampled.camera.width,
         )
-    else:
-        assert field is not None
-        assert problem.agreement is not None
-        signs = signs_of(problem, field, descent, outcome.ious, view_weights.inlier)
-        verdict = Verdict.of(signs, problem.agreement)
-    taken = 1.0 if settings.accept_doubtful else verdict.step
-    if taken < 1.0:
-        outcome = _after(problem, given_views, taken * step)
-    return replace(
-        outcome, verdict=verdict, taken=taken, unmoved=None if taken else "doubtful", signs=signs
+        for view, windowed, (before, after), inlier, loss in zip(
+            given, problem.given, judged.ious, weights.inlier, weights.loss, strict=True
+        )
+    )
+    return RefineResult(
+        points=moved.points,
+        initial=cloud.source.points,
+        measured=(cloud.measured, moved.measured),
+        outliers=cloud.outliers,
+        control_points=len(cloud.control_points),
+        of_mesh=cloud.source.surface is not None,
+        settings=settings,
+        fit=fit,
+        views=views,
+        symmetry=problem.symmetry,
+        trust=judged.trust,
+        cost=Cost(seconds, decisions(problem, settings, optimised)),
+        findings=(*diagnosis.findings, *_contradicted(weights.inlier)),
     )
 
 
-def _why_unjudged(problem: Problem, descent: Descent, settings: Settings) -> str | None:
-    """Why there is no confidence, None where there is one."""
-    # What a few steps leave undone looks like a mistake.
-    steps = len(descent.losses) - 1 if descent.out_of_time else settings.steps
-    few = len(descent.stages) < len(STAGES) or steps < FEWEST_STEPS
-    reasons = {
-        "only mode points with preset best is": not settings.staged,
-        "none with a depth map or a photo is": not problem.masks_alone,
-        f"{len(problem.cloud.initial)} points are too few": len(problem.cloud.initial)
-        < FEWEST_POINTS,
-        "it was interrupted": few and descent.interrupted,
-        # The confidence counts on a symmetry check of a cloud that has a mirror plane.
-        f"{settings.seconds:g} s were too few": descent.out_of_time
-        and few
-        or problem.symmetry.outcome == "unchecked",
-        f"{steps} steps are too few": few,
-    }
-    return next((reason for reason, holds in reasons.items() if holds), None)
+def _judged(
+    weighed: Weighed,
+    problem: Problem,
+    optimised: Optimised,
+    given: Sequence[View],
+    diagnosis: Diagnosis,
+    settings: Settings,
+) -> _Judged:
+    weights = weighed.weights
+    displacements = optimised.best - problem.cloud.start
+    moved, ious = _moved(problem, given, displacements)
+    # Corrected cameras may lower the IoU rightly.
+    same_cameras = all(
+        windowed.view.camera is view.camera
+        for windowed, view in zip(problem.given, given, strict=True)
+    )
+    compared = settings.staged and same_cameras and problem.masks_alone
+    before, after = 1.0, 0.0
+    if problem.cloud.partial and compared:
+        before, after = _misfits(problem, moved, weights.loss)
+    worse = after >= before or (compared and _agrees_less(ious, weights.loss))
+    unsure = next((one.says for one in diagnosis.notes if one.name == "unsure-camera"), None)
+    if optimised.best_step == 0 or worse:
+        start = problem.cloud.moved(np.zeros_like(displacements))
+        ious = [(iou, iou if optimised.best_step else end) for iou, end in ious]
+        trust = Trust.unchanged(diagnosis)
+        trust = trust.with_unsure_camera(unsure) if unsure else trust
+        return _Judged(
+            start, ious, trust, "unchanged", "not_improved" if before else "nothing_to_do"
+        )
+    unknown = _why_unknown(problem, optimised, settings)
+    if unknown:
+        trust = Trust.unknown(*unknown, diagnosis)
+    else:
+        assert weighed.field is not None
+        features = features_of(problem, weighed.field, optimised, ious, weights.inlier, diagnosis)
+        trust = Trust.of(features, diagnosis)
+    if settings.accept_doubtful:
+        trust = replace(trust, displacement_taken=1.0)
+    if trust.displacement_taken < 1.0:
+        moved, ious = _moved(problem, given, trust.displacement_taken * displacements)
+    trust = trust.with_unsure_camera(unsure) if unsure else trust
+    if trust.displacement_taken:
+        return _Judged(moved, ious, trust, "moved")
+    return _Judged(moved, ious, trust, "refused", "doubtful")
 
 
-def _after(problem: Problem, given_views: Sequence[View], displacements: Array) -> Outcome:
+def _why_unknown(
+    problem: Problem, optimised: Optimised, settings: Settings
+) -> tuple[str, str] | None:
+    """Why there is no confidence, as a name and in words; None where there is one."""
+    steps = len(optimised.losses) - 1 if optimised.out_of_time else settings.steps
+    points = len(problem.cloud.control_points)
+    few = len(optimised.stages) < len(STAGES) or steps < FEWEST_STEPS
+    # The confidence counts on a symmetry check of a cloud that has a mirror plane.
+    late = (optimised.out_of_time and few) or problem.symmetry.outcome == "unchecked"
+    reasons = (
+        ("mode", "only mode points with preset best has a confidence", not settings.staged),
+        ("evidence", "a result with a depth map or a photo has none", not problem.masks_alone),
+        ("points", f"{points} points are too few", points < FEWEST_CONTROL_POINTS),
+        ("interrupted", "it was interrupted", few and optimised.interrupted),
+        ("time", f"{settings.seconds:g} s were too few", late),
+        ("steps", f"{steps} steps are too few", few),
+    )
+    return next(((name, says) for name, says, holds in reasons if holds), None)
+
+
+def _moved(
+    problem: Problem, given: Sequence[View], displacements: Array
+) -> tuple[MovedCloud, Ious]:
+    """The cloud after ``displacements``, and the IoU of each view before and after.
+
+    Before by the given camera, after by the corrected one; both in the same window.
+    """
     moved = problem.cloud.moved(displacements)
-    return Outcome(moved, view_ious(problem.cloud.judged, moved.judged, given_views, problem.views))
-
-
-def view_ious(
-    initial: Array, refined: Array, given: Sequence[View], corrected: Sequence[View]
-) -> list[tuple[float, float]]:
-    """IoU of each view before, by the given camera, and after, by the corrected one; both in the same window."""
     ious = []
-    for before, after in zip(given, corrected, strict=True):
-        stages = (initial, before), (refined, after)
+    for view, corrected in zip(given, problem.views, strict=True):
+        stages = (problem.cloud.measured, view), (moved.measured, corrected)
         box = common_window(stages)
         ious.append((window_iou(*stages[0], box), window_iou(*stages[1], box)))
-    return ious
+    return moved, ious
 
 
-def _agrees_less(problem: Problem, ious: list[tuple[float, float]], weights: list[float]) -> bool:
-    """Whether masks are all there is, and the IoU fell.
+def _agrees_less(ious: Ious, weights: Sequence[float]) -> bool:
+    """Whether the IoU fell.
 
-    The mask Chamfer loss counts distances, and may fall while the IoU falls too, as for a right start and a coarse mask.
+    The mask Chamfer loss counts distances, and may fall while the IoU falls too, as for a right
+    start and a coarse mask.
     """
-    if not problem.masks_alone:
-        return False
     before, after = np.average(ious, axis=0, weights=weights)
     return bool(after < before and before >= FEEBLE_IOU)
 
 
-def _misfits(problem: Problem, moved: MovedCloud, weights: list[float]) -> tuple[float, float]:
-    """The mask Chamfer loss of all points that are judged, before and after, not of those alone that moved by themselves.
+def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> tuple[float, float]:
+    """The mask Chamfer loss of all measured points, before and after.
 
-    Between few points there are gaps, which ask for a motion that the whole cloud does not need.
+    Between few control points there are gaps, which ask for a motion that the whole cloud does not
+    need.
     """
-    targets = ViewTargets.of(problem.resampled[: len(problem.views)], weights)
+    targets = problem.without_flipped().targets(weights)
     objective = MaskChamferObjective(targets, STAGES[-1].robust_scale)
-    clouds = (scattered(points, CANDIDATES) for points in (problem.cloud.judged, moved.judged))
-    before, after = (objective(problem.cloud.normalise(points))[0] for points in clouds)
+    before, after = (
+        objective(problem.cloud.normalise(scattered(points, CANDIDATES)))[0]
+        for points in (problem.cloud.measured, moved.measured)
+    )
     return before, after
+
+
+def _loss_after(problem: Problem, optimised: Optimised, judged: _Judged) -> float:
+    """By the last objective."""
+    if judged.outcome != "moved":
+        return 0.0 if judged.stop_reason == "nothing_to_do" else optimised.first_loss
+    taken = judged.trust.displacement_taken
+    if taken == 1.0 or optimised.objective is None:
+        return optimised.best_loss
+    start = problem.cloud.start
+    return optimised.objective(start + taken * (optimised.best - start))[0]
+
+
+def _stop_reason(optimised: Optimised, judged: _Judged, steps: int) -> StopReason:
+    if optimised.steps + 1 < len(optimised.losses):
+        return "non_finite"
+    if optimised.interrupted:
+        return "interrupted"
+    kept = judged.stop_reason
+    if optimised.out_of_time and kept in (None, "not_improved"):
+        return "out_of_time"
+    if steps == 0 or not kept:
+        return "max_steps"
+    return "nothing_to_do" if optimised.first_loss == 0.0 else kept
+
+
+def _contradicted(inlier_weights: Sequence[float]) -> list[Finding]:
+    return [
+        Finding("contradicted", (number,), values={"weight": weight})
+        for number, weight in enumerate(inlier_weights)
+        if weight < CONTRADICTED_WEIGHT
+    ]

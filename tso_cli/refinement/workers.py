@@ -1,4 +1,7 @@
-"""Independent pieces of work on all cores: in forked processes, since threads would wait for one another's Python."""
+"""Independent pieces of work on all cores.
+
+They run in forked processes, since threads would wait for one another's Python.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,10 @@ Result = TypeVar("Result")
 
 
 def processes_for(count: int) -> int:
-    """How many processes ``count`` pieces of work get: one for each core, or as many as OMP_NUM_THREADS says.
+    """How many processes ``count`` pieces of work get.
 
-    One where processes cannot be forked safely: anywhere but on Linux, and in a process that may have no children.
+    That is one for each core, or as many as OMP_NUM_THREADS says. It is one where processes cannot
+    be forked safely: on other systems than Linux, and in a process that may have no children.
     """
     if sys.platform != "linux" or multiprocessing.current_process().daemon:
         return 1
@@ -46,7 +50,8 @@ def spread(
 ) -> list[Result]:
     """``[work(0), ..., work(count - 1)]``; ``on_done`` is called here with each result.
 
-    Ctrl-C, or a KeyboardInterrupt of ``on_done``, sets ``stop``, for ``work`` to end early; all of it is still called.
+    Ctrl-C, or a KeyboardInterrupt of ``on_done``, sets ``stop``, for ``work`` to end early. It is
+    still called for every number.
 
     Raises TsoError where a process is killed, and whatever else ``work`` or ``on_done`` raise.
     """

@@ -1,4 +1,4 @@
-"""Pictures and ground truth of a mesh, and of a folder of mesh files in a folder of objects."""
+"""Pictures and ground truth of a mesh, or of every mesh in a folder."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..datasets.items import copied
 from ..datasets.rendered import stored_record, writing
 from ..errors import InputError
-from ..geometry.points import Array, farthest_point_sample, sample_surface
+from ..geometry.arrays import Array, Floats
+from ..geometry.points import farthest_point_sample, sample_surface
 from ..io.meshes import Mesh, find_meshes, read_mesh
 from ..version import __version__
 from .rays import RayScene, RenderedView, render_view
@@ -25,18 +25,18 @@ from .viewpoints import RenderSettings, sample_cameras
 
 @dataclass(frozen=True, eq=False)
 class RenderedObject:
-    """Pictures and ground truth of one mesh, longest side 1.
-
-    samples : [S, 3] float32 points of the surface; target : [P, 3] float32, the farthest-point subset of them.
-    """
+    """Pictures and ground truth of one mesh, scaled to longest side 1."""
 
     views: list[RenderedView]
-    samples: NDArray[np.float32]
-    target: NDArray[np.float32]
+    samples: Floats  # [S, 3] points of the surface
+    target: Floats  # [P, 3] those samples that farthest-point sampling chooses
 
 
 def normalise(mesh: Mesh) -> Mesh:
-    """The mesh centred on its bounding box and scaled to longest side 1, without the vertices that no face uses."""
+    """The mesh centred on its bounding box and scaled to longest side 1.
+
+    Vertices that no face uses are removed.
+    """
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices = mesh.vertices[used]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -47,7 +47,7 @@ def normalise(mesh: Mesh) -> Mesh:
 def ground_truth(
     mesh: Mesh, settings: RenderSettings, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Surface samples [samples, 3] and the farthest-point subset of them [points, 3]."""
+    """Samples of the surface [samples, 3], and their farthest-point sample [points, 3]."""
     samples = sample_surface(mesh.vertices, mesh.faces, settings.samples, rng)
     return samples, samples[farthest_point_sample(samples, settings.points)]
 
@@ -65,15 +65,12 @@ def render_mesh(mesh: Mesh, settings: RenderSettings, rng: np.random.Generator) 
 
 @dataclass(frozen=True)
 class RenderSummary:
-    """What `render_folder` did.
-
-    written, skipped : names of the objects rendered by it, and of those rendered before; failed : name -> why.
-    """
+    """What `render_folder` did, by the names of the objects."""
 
     folder: Path
     written: list[str] = field(default_factory=list)
-    skipped: list[str] = field(default_factory=list)
-    failed: dict[str, str] = field(default_factory=dict)
+    skipped: list[str] = field(default_factory=list)  # an earlier run had rendered them
+    failed: dict[str, str] = field(default_factory=dict)  # name -> why
 
 
 def render_folder(
@@ -85,24 +82,35 @@ def render_folder(
     progress: Callable[[int, int, str], None] | None = None,
     only: Collection[str] | None = None,
 ) -> RenderSummary:
-    """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` describes.
+    """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` says.
 
-    NAME is the file's path below ``source`` without suffix, NAME~0001 and so on its warped copies; ``only`` names the meshes to
-    render. An object is written whole or not at all and depends only on its mesh, its name, ``settings`` and ``seed``: a run
-    after a stopped one skips what is complete. A mesh of a folder that cannot be rendered is left out and named in ``failed``.
-    ``progress`` is called with the number of objects done, their total and the name of the last one.
+    NAME is the path of the mesh below ``source`` without its suffix. Warped copies are called
+    NAME~0001 and so on. Each object is written whole or not at all. It depends only on its mesh,
+    its name, ``settings`` and ``seed``: after a run that was stopped, the next one skips the
+    objects that are complete. If a mesh of a folder cannot be rendered, it is left out and listed
+    in ``failed``.
 
-    Raises InputError if there is no mesh, one of ``only`` is missing or none can be rendered, names collide, or an object was
-    rendered with other settings and ``overwrite`` is false; TsoError if open3d is missing or writing failed.
+    Parameters
+    ----------
+    only : names of the meshes to render; None means all.
+    progress : called with the number of objects done, their total and the name of the last one.
+
+    Raises InputError if
+
+    - there is no mesh, none can be rendered, or one of ``only`` is missing;
+    - two objects would get the same name, or one would be inside another;
+    - an object was rendered with other settings and ``overwrite`` is false.
+
+    Raises TsoError if open3d is missing or writing failed.
     """
     _check_folder(output)
-    meshes = _names(source, output)
+    meshes = _named_meshes(source, output)
     if only is not None:
         names = set(only)
-        missing = sorted(names - set(meshes))
-        if missing:
+        if missing := sorted(names - set(meshes)):
             raise InputError(
-                f"{source}: has no mesh {missing[0]} ({len(missing)} of {len(names)} are missing), expected it"
+                f"{source}: has no mesh {missing[0]} ({len(missing)} of {len(names)} are missing), "
+                "expected it"
             )
         meshes = {name: path for name, path in meshes.items() if name in names}
     record = {"tso": __version__, "seed": seed, **asdict(settings)}
@@ -113,14 +121,14 @@ def render_folder(
         for copy in range(settings.copies + 1)
     ]
     with writing(output) as writer:
-        # Before the work starts, so that a clash of settings does not show after an hour.
+        # All objects are checked first: a conflict of settings must not come up after an hour.
         waiting = []
         for name, path, copy in objects:
             if _is_rendered(output / name, record, overwrite):
                 summary.skipped.append(name)
             else:
                 waiting.append((name, path, copy))
-        # The copies of a mesh come one after another, so one mesh is cached.
+        # The copies of a mesh come one after another: one cached mesh is enough.
         read = lru_cache(1)(partial(read_mesh, within=source if source.is_dir() else None))
         for done, (name, path, copy) in enumerate(waiting, 1):
             try:
@@ -140,14 +148,13 @@ def render_folder(
             if progress is not None:
                 progress(done, len(waiting), name)
     if summary.failed and not (summary.written or summary.skipped):
-        raise InputError(
-            f"none of {len(objects)} objects could be rendered, the first: {next(iter(summary.failed.values()))}"
-        )
+        first = next(iter(summary.failed.values()))
+        raise InputError(f"none of {len(objects)} objects could be rendered, the first: {first}")
     return summary
 
 
 def _is_rendered(folder: Path, record: dict[str, Any], overwrite: bool) -> bool:
-    """Whether the object is complete and stays; InputError if its settings differ from those of ``record``."""
+    """Whether the object is complete and may stay; InputError if its settings differ."""
     stored = stored_record(folder)
     if stored is None or overwrite:
         return False
@@ -156,7 +163,7 @@ def _is_rendered(folder: Path, record: dict[str, Any], overwrite: bool) -> bool:
         if key not in ("tso", "copies") and stored.get(key) != value:
             raise InputError(
                 f"{folder}: was rendered with {key} {stored.get(key)}, now it is {value}; "
-                "expected the same settings, --overwrite or another output folder"
+                "expected the same settings, `overwrite` or another output folder"
             )
     return True
 
@@ -169,8 +176,8 @@ def _check_folder(output: Path) -> None:
         raise InputError(f"{output}: the folder {parent} does not exist, expected one to write to")
 
 
-def _names(source: Path, output: Path) -> dict[str, Path]:
-    """Name -> mesh, for every mesh of ``source`` but those that lie in ``output``."""
+def _named_meshes(source: Path, output: Path) -> dict[str, Path]:
+    """Name -> mesh, for every mesh of ``source`` that does not lie in ``output``."""
     if not source.is_dir():
         return {source.stem: source}
     written = output.resolve()
@@ -181,18 +188,20 @@ def _names(source: Path, output: Path) -> dict[str, Path]:
         name = path.relative_to(source).with_suffix("").as_posix()
         if name in meshes:
             raise InputError(
-                f"{path}: would be rendered as {name}, as would {meshes[name]}; expected different names"
+                f"{path}: would be rendered as {name}, and {meshes[name]} too, "
+                "expected different names"
             )
         meshes[name] = path
     for name, path in meshes.items():
-        above = next(
-            (parent.as_posix() for parent in Path(name).parents if parent.as_posix() in meshes),
-            None,
-        )
-        if above is not None:
-            raise InputError(
-                f"{path}: would be rendered inside {above}, made of {meshes[above]}; expected another name"
-            )
+        for parent in map(Path.as_posix, Path(name).parents):
+            if parent in meshes:
+                raise InputError(
+                    f"{path}: would be rendered inside {parent}, made of {meshes[parent]}, "
+                    "expected another name"
+                )
     if not meshes:
-        raise InputError(f"{source}: no mesh in this folder beside those of {output}")
+        raise InputError(
+            f"{source}: all meshes in this folder are in {output}, "
+            "expected meshes outside the folder to write to"
+        )
     return meshes

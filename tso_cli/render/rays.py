@@ -6,33 +6,38 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import TsoError
+from ..geometry.arrays import Array, Pixels
 from ..geometry.camera import Camera
-from ..geometry.points import Array
 from ..io.meshes import GREY, Mesh
 
+# Rays across one pixel, 25 in all. An odd number has no ties at half coverage, which would shift
+# outlines.
 RAYS_ACROSS = 5
-"""Rays across one pixel, 25 in all. Odd, since ties at half coverage would shift outlines."""
-RAYS_AT_ONCE = 1 << 21
+RAYS_AT_ONCE = 1 << 21  # bounds the memory to some hundred megabytes
+# Brightness of a face that is parallel to the light; a face toward the light has brightness 1.
 AMBIENT = 0.3
-"""Brightness of a face parallel to the light."""
+# Direction of the light in camera axes: from the upper left, behind the camera.
+FIXED_LIGHT = (-0.5, -0.7, -0.6)
+# Mean and standard deviation of a random direction: mostly from above, on the camera's side.
+MEAN_LIGHT, LIGHT_DEVIATION = (0.0, -0.6, -0.8), (0.6, 0.4, 0.3)
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedView:
-    """image [H, W, 3] uint8 on white, mask [H, W] uint8 (255 inside, 0 outside), and the camera of both."""
+    """A picture of a mesh on white, its mask and the camera of both."""
 
-    image: NDArray[np.uint8]
-    mask: NDArray[np.uint8]
+    image: Pixels  # [H, W, 3]
+    mask: Pixels  # [H, W], 255 inside, 0 outside
     camera: Camera
 
 
 class RayScene:
-    """A mesh ready for ray casting, in single precision: normalise what lies far from the origin first.
+    """A mesh that is ready for ray casting, in single precision.
 
-    Raises TsoError if open3d, which casts the rays, is missing or cannot be loaded.
+    A mesh far from the origin must be normalised first, or it loses detail. Raises TsoError if
+    open3d, which casts the rays, is missing or cannot be loaded.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -50,19 +55,22 @@ class RayScene:
         self.mesh = mesh
         self._scene = self._o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
-        # Texture of each face, -1 for none, and the face's row there.
+        # The texture of each face, -1 for none, and the index of the face in its texture.
         self._texture, self._row = np.full((2, len(mesh.faces)), -1)
         for number, texture in enumerate(mesh.textures):
-            self._texture[texture.faces], self._row[texture.faces] = (
-                number,
-                np.arange(len(texture.faces)),
-            )
+            self._texture[texture.faces] = number
+            self._row[texture.faces] = np.arange(len(texture.faces))
 
     def cast(self, camera: Camera, columns: Array, rows: Array) -> dict[str, Any]:
         """First hits of the rays through pixel coordinates ``columns`` [C] x ``rows`` [R].
 
-        Returns ``hit`` [R, C] bool, ``depth`` [R, C] along the camera's z (infinite without a hit), ``face`` [R, C], ``normal``
-        [R, C, 3] (world axes, length 1) and ``shares`` [R, C, 2], barycentric coordinates of the face's other two corners.
+        Returns
+        -------
+        hit : [R, C] bool.
+        depth : [R, C] along the camera's z; infinite without a hit.
+        face : [R, C].
+        normal : [R, C, 3] in world axes, of length 1.
+        barycentric : [R, C, 2], coordinates of the second and the third corner of the face.
         """
         x = (columns - camera.K[0, 2]) / camera.K[0, 0]
         y = (rows - camera.K[1, 2]) / camera.K[1, 1]
@@ -70,28 +78,33 @@ class RayScene:
         plane[..., 0] = x[None, :] - camera.K[0, 1] / camera.K[0, 0] * y[:, None]
         plane[..., 1] = y[:, None]
         rays = np.empty((len(rows), len(columns), 6), dtype=np.float32)
-        # A unit along a ray is a unit of depth; rays start at ``near``.
+        # A unit along a ray is a unit of depth. Rays start at the depth ``near``.
         near = 0.0
         if camera.model == "perspective":
             plane[..., 2] = 1.0
             rays[..., :3] = camera.position
             rays[..., 3:] = plane @ camera.R
         else:
-            # In front of the whole mesh: an orthographic camera sees what lies behind its origin too.
+            # An orthographic camera also sees what lies behind its origin: rays start in front of
+            # the whole mesh.
             near = plane[..., 2] = (self.mesh.vertices @ camera.R[2]).min() + camera.t[2] - 1.0
             rays[..., :3] = (plane - camera.t) @ camera.R
             rays[..., 3:] = camera.R[2]
         hits = self._scene.cast_rays(self._o3d.core.Tensor(rays))
         depth = hits["t_hit"].numpy().astype(np.float64) + near
-        names = {"face": "primitive_ids", "normal": "primitive_normals", "shares": "primitive_uvs"}
         return {
             "hit": np.isfinite(depth),
             "depth": depth,
-            **{name: hits[key].numpy() for name, key in names.items()},
+            "face": hits["primitive_ids"].numpy(),
+            "normal": hits["primitive_normals"].numpy(),
+            "barycentric": hits["primitive_uvs"].numpy(),
         }
 
-    def colours(self, hits: dict[str, Any]) -> NDArray[np.uint8]:
-        """The mesh's unlit colour [R, C, 3] at the ``hits`` of `cast`; arbitrary where nothing is hit."""
+    def colours(self, hits: dict[str, Any]) -> Pixels:
+        """The mesh's colour [R, C, 3] without light at the ``hits`` of `cast`.
+
+        It is arbitrary where nothing is hit.
+        """
         face = np.where(hits["hit"], hits["face"], 0)
         colours = (
             np.full((*face.shape, 3), GREY, np.uint8)
@@ -102,7 +115,7 @@ class RayScene:
         for number in np.unique(texture[texture >= 0]):
             textured = texture == number
             colours[textured] = self.mesh.textures[number].at(
-                self._row[face[textured]], hits["shares"][textured]
+                self._row[face[textured]], hits["barycentric"][textured]
             )
         return colours
 
@@ -112,8 +125,10 @@ def render_view(
 ) -> RenderedView:
     """Picture and mask of ``scene`` seen by ``camera``.
 
-    A pixel is inside the mask when more than half of its 25 rays hit the mesh; its colour is their mean, over white. Lambert
-    shading of both sides of a face, by one distant light in a direction that ``rng`` draws; without it from the upper left.
+    A pixel is inside the mask if more than half of its 25 rays hit the mesh. Its colour is the mean
+    colour of its rays; rays that miss the mesh are white. Both sides of a face have Lambert
+    shading, by one distant light. ``rng`` draws the direction of the light; without ``rng`` it
+    comes from the upper left.
     """
     height, width = camera.height, camera.width
     image = np.full((height, width, 3), 255, dtype=np.uint8)
@@ -144,17 +159,16 @@ def render_view(
 
 
 def _light(rng: np.random.Generator | None) -> Array:
-    """Unit vector toward the light in camera axes, on the camera's side and mostly from above."""
-    direction = (
-        np.array([-0.5, -0.7, -0.6])
-        if rng is None
-        else rng.normal([0.0, -0.6, -0.8], [0.6, 0.4, 0.3])
-    )
+    """Unit vector toward the light, in camera axes."""
+    direction = np.array(FIXED_LIGHT) if rng is None else rng.normal(MEAN_LIGHT, LIGHT_DEVIATION)
     return direction / max(float(np.linalg.norm(direction)), 1e-9)
 
 
 def _visible_box(vertices: Array, camera: Camera) -> tuple[int, int, int, int] | None:
-    """Pixel columns and rows (left, top, right, bottom; half open) that the mesh can cover; None if it is out of sight."""
+    """The pixels that the mesh can cover: left, top, right, bottom, right and bottom exclusive.
+
+    None if the mesh is out of sight.
+    """
     pixels, depth = camera.project(vertices)
     if camera.model == "perspective" and depth.min() <= 0.0:
         return 0, 0, camera.width, camera.height

@@ -6,19 +6,21 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..geometry.arrays import Indices
 from ..io.meshes import Mesh
 
+# Largest logarithm of the factor by which an axis is stretched. The other deformations scale with
+# it.
 MAX_STRETCH = 0.3
-"""Largest logarithm of the factor by which an axis is stretched; the other deformations scale with it."""
 
 
 def warp(mesh: Mesh, rng: np.random.Generator) -> Mesh:
     """A smoothly deformed copy of a normalised ``mesh`` (centred, longest side 1, y up).
 
-    Stretches the axes, displaces each coordinate by a sine of itself, tapers and shears with height, and sweeps the sides back
-    along the other horizontal axis. Shear and sweep move points along one axis, which keeps an upright mirror plane.
+    It stretches the axes, displaces each coordinate by a sine of itself, tapers and shears with
+    height, and sweeps the sides back along the other horizontal axis. Shear and sweep move points
+    along one axis only, so that a mesh with an upright mirror plane keeps it.
     """
 
     def drawn(size: int | None = None) -> Any:
@@ -35,19 +37,21 @@ def warp(mesh: Mesh, rng: np.random.Generator) -> Mesh:
 
 
 def paint(mesh: Mesh, rng: np.random.Generator) -> Mesh:
-    """The mesh with a random colour of a small palette on each connected part."""
+    """The mesh with one of one to three random colours on each connected part."""
     part = connected_parts(mesh.faces, len(mesh.vertices))
     count = int(part.max()) + 1
-    palette = rng.integers(1, 4)
-    colours = (
-        rng.uniform(20.0, 245.0, (palette, 1)) + rng.normal(0.0, 35.0, (palette, 3)) * rng.random()
-    )
-    chosen = np.clip(np.rint(colours), 0, 255).astype(np.uint8)[rng.integers(palette, size=count)]
-    return Mesh(mesh.vertices, mesh.faces, chosen[part])
+    size = rng.integers(1, 4)
+    brightness = rng.uniform(20.0, 245.0, (size, 1))
+    colours = brightness + rng.normal(0.0, 35.0, (size, 3)) * rng.random()
+    palette = np.clip(np.rint(colours), 0, 255).astype(np.uint8)
+    return Mesh(mesh.vertices, mesh.faces, palette[rng.integers(size, size=count)][part])
 
 
-def connected_parts(faces: NDArray[np.int64], vertices: int) -> NDArray[np.int64]:
-    """For each of ``faces`` [F, 3] the number of its connected part, from 0; faces that share a vertex are connected."""
+def connected_parts(faces: Indices, vertices: int) -> Indices:
+    """For each of ``faces`` [F, 3] the number of its connected part, from 0.
+
+    Faces that share a vertex are connected. ``vertices`` is the number of vertices.
+    """
     from trimesh.graph import connected_component_labels
 
     label = connected_component_labels(np.concatenate([faces[:, :2], faces[:, 1:]]), vertices)

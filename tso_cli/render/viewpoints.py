@@ -7,21 +7,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera
-from ..geometry.points import Array
+from ..geometry.arrays import Array
+from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera, intrinsics
 
-MARGIN_PX = 2.0
-"""Border around the object in pictures of `fitting_distance`."""
+MARGIN_PX = 2.0  # the border around the object in pictures of `fitting_distance`
+# The least distance of a vertex from the camera, in units of the longest side of the mesh.
+LEAST_DEPTH = 0.01
 
 
 @dataclass(frozen=True)
 class RenderSettings:
     """What to render of every mesh. Raises InputError for impossible values.
 
-    views : pictures of each object. size : width, height in pixels.
-    azimuth, elevation : range in degrees from which each view is drawn uniformly.
-    samples : points drawn from the surface; points : how many of them farthest-point sampling keeps.
-    copies : warped copies of each mesh rendered beside it. paint : give each connected part a random colour.
+    views : number of pictures of each object.
+    size : width and height of the pictures in pixels.
+    azimuth, elevation : range in degrees; each view draws uniformly from it.
+    samples : number of points to draw from the surface.
+    points : number of these points that farthest-point sampling keeps.
+    copies : number of warped copies of each mesh that are rendered too.
+    paint : give each connected part a random colour.
     """
 
     views: int = 24
@@ -46,11 +50,13 @@ class RenderSettings:
             low, high = getattr(self, name)
             if not -limit <= low <= high <= limit:
                 raise InputError(
-                    f"{name} is {low:g} to {high:g}, expected a range within -{limit:g} to {limit:g} degrees"
+                    f"{name} is {low:g} to {high:g}, "
+                    f"expected a range within -{limit:g} to {limit:g} degrees"
                 )
         if not 1 <= self.points <= self.samples:
             raise InputError(
-                f"points is {self.points} and samples {self.samples}, expected 1 <= points <= samples"
+                f"points is {self.points} and samples {self.samples}, "
+                "expected 1 <= points <= samples"
             )
 
 
@@ -61,9 +67,10 @@ def look_at(
     size: tuple[int, int],
     focal: float | None = None,
 ) -> Camera:
-    """The camera at ``azimuth`` and ``elevation`` (degrees) and ``distance`` that looks at the origin.
+    """The camera that looks at the origin from ``azimuth``, ``elevation`` (degrees), ``distance``.
 
-    ``size`` is width, height; ``focal`` is in pixels, None for 120 for each 64 of the longer side.
+    ``size`` is width, height. ``focal`` is in pixels; None means the canonical focal length, 120 px
+    for each 64 px of the longer side.
     """
     width, height = size
     focal = CANONICAL_FOCAL_AT_64 * max(size) / 64.0 if focal is None else focal
@@ -72,32 +79,29 @@ def look_at(
     right = [cos_a, 0.0, -sin_a]
     down = [sin_e * sin_a, -cos_e, sin_e * cos_a]
     forward = [-cos_e * sin_a, -sin_e, -cos_e * cos_a]
-    K = np.array(
-        [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
-    )
-    return Camera(
-        K, np.array([right, down, forward]), np.array([0.0, 0.0, distance]), width, height
-    )
+    K, R = intrinsics(focal, width, height), np.array([right, down, forward])
+    return Camera(K, R, np.array([0.0, 0.0, distance]), width, height)
 
 
 def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX) -> float:
-    """Smallest distance, 2 or more, at which ``vertices`` [V, 3] lie inside the picture of ``camera`` less ``margin`` px.
+    """The distance of ``camera`` from the origin at which ``vertices`` [V, 3] fit into its picture.
 
-    With x, z the coordinates of a vertex in the camera's axes, |fx x| / (z + d) <= W/2 - margin from
-    d = |fx x| / (W/2 - margin) - z on; the same for y.
+    It is the smallest distance d, at least 2, that leaves ``margin`` pixels on every side. With x,
+    z the coordinates of a vertex in the camera's axes, |fx x| / (z + d) <= W/2 - margin holds for
+    d >= |fx x| / (W/2 - margin) - z, and likewise for y.
     """
     half = np.array([camera.width, camera.height]) / 2.0
     half -= np.minimum(margin, half / 4.0)
     rotated = vertices @ camera.R.T
     distances = np.abs(rotated[:, :2]) * camera.K[[0, 1], [0, 1]] / half - rotated[:, 2:]
     # The last term keeps vertices on the optical axis in front of the camera.
-    return float(max(CANONICAL_DISTANCE, distances.max(), 0.01 - rotated[:, 2].min()))
+    return float(max(CANONICAL_DISTANCE, distances.max(), LEAST_DEPTH - rotated[:, 2].min()))
 
 
 def sample_cameras(
     settings: RenderSettings, vertices: Array, rng: np.random.Generator
 ) -> list[Camera]:
-    """Cameras in random directions that see all of the normalised ``vertices`` [V, 3]."""
+    """Cameras in random directions that see all ``vertices`` [V, 3] of a normalised mesh."""
     cameras = []
     for _ in range(settings.views):
         azimuth, elevation = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)

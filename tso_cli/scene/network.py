@@ -1,18 +1,20 @@
-"""The scene of the network modes: photo, mask and checkpoint -> the network's crop, its cloud and the camera of the crop."""
+"""The scene of the network modes: photo, mask and checkpoint -> crop, cloud and camera."""
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..diagnosis.placement import mask_doubts
+from ..cloud.cloud import Cloud
+from ..diagnosis.findings import Finding
+from ..diagnosis.hypotheses import as_meant
+from ..diagnosis.symptoms import coarse, photo, specks
 from ..errors import InputError
-from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Array, Camera
+from ..geometry.arrays import Array, Pixels
+from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
 from ..geometry.view import View
 from ..io.checkpoints import load_network
 from ..io.images import read_image
@@ -20,8 +22,9 @@ from ..losses.projection import project
 from ..losses.silhouette import silhouette_bce
 from ..network.input import network_input
 from ..optimisation.adam import Adam
-from ..optimisation.loop import descend
+from ..optimisation.loop import minimise
 from ..optimisation.parameters import PointParameters
+from ..refinement.scene import RefineScene
 from .load import NO_FILE, Placing, Scene, ViewFiles, camera_source, load_views, require_same_size
 
 if TYPE_CHECKING:
@@ -41,46 +44,55 @@ def load_network_scene(
     world: bool = False,
     placing: Placing = "silhouette",
 ) -> Scene:
-    """The scene of the network modes: the photo cropped as for training, and the camera that sees the predicted cloud in it.
+    """The scene of a photo: the crop that the network sees, and the camera of the crop.
 
-    A view-aligned network predicts in the axes of the camera. Of a camera file only K counts (of the crop's canonical camera,
-    without one), and the cloud is placed in front of it. A canonical-frame network predicts in the frame of its training
-    objects, from which R and t of the camera file lead to the picture.
+    A view-aligned network predicts in the axes of the camera. Only K of a camera file counts; the
+    crop has the canonical camera without a file. The cloud is placed in front of the camera. A
+    canonical-frame network predicts in the frame of its training objects. R and t of the camera
+    file lead from there to the picture.
 
     Parameters
     ----------
+    invert : whether the mask shows the object dark.
     world : give the output of a view-aligned network in the world coordinates of the camera file.
-    placing : of a view-aligned network's cloud: "silhouette" aligns it with the mask (`align_silhouette`), "box" with its
-        box (`place_in_front`), "camera" takes t of the camera file, as for an object of longest side 1 at the origin.
+    placing : how the cloud of a view-aligned network is placed. "silhouette" aligns it with the
+        mask (`align_silhouette`), "box" with the mask's box (`place_in_front`). "camera" takes t
+        of the camera file, as for an object of longest side 1 at the origin.
 
-    Raises InputError if a file cannot be used, sizes of image and mask differ, or the frame or placing needs a camera file.
+    Raises InputError if a file cannot be used, sizes of image and mask differ, or the frame or
+    placing needs a camera file.
     """
-    files = ViewFiles([mask_file], camera_file, invert, [ignore_file] if ignore_file else [])
+    ignore = [ignore_file] if ignore_file else []
+    files = ViewFiles([mask_file], camera_file, invert=invert, ignore=ignore)
     (view,), (camera_file,) = load_views(files)
+    view = as_meant(view, files.assumptions)
     image = read_image(image_file)
     require_same_size(image_file, image.shape, mask_file, view.mask.shape)
     network, config = load_network(checkpoint)
-    option = "--frame world" if world else f"--place {placing}" if placing != "silhouette" else None
+    asked = "`frame` world" if world else f"`place` {placing}" if placing != "silhouette" else None
     if config.frame != "view" and camera_file is None:
         raise InputError(
-            f"{checkpoint}: predicts in the canonical frame of its training objects, which needs the camera's R and t; "
-            "found no camera file, expected --camera FILE"
+            f"{checkpoint}: predicts in the canonical frame of its training objects, which needs "
+            "the camera's R and t; found no camera file, expected one (`camera` FILE)"
         )
-    if config.frame != "view" and option:
+    if config.frame != "view" and asked:
         raise InputError(
-            f"{checkpoint}: predicts in the canonical frame, found {option}, which is for view-aligned networks"
+            f"{checkpoint}: predicts in the canonical frame, found {asked}, which is for "
+            "view-aligned networks"
         )
     if camera_file is None and placing == "camera":
         raise InputError(
-            "--place camera needs the camera's t; found no camera file, expected --camera FILE"
+            "`place` camera needs the camera's t; found no camera file, expected one (`camera` FILE)"
         )
     if camera_file is None and world:
         raise InputError(
-            "--frame world needs the camera's R and t; found no camera file, expected --camera FILE"
+            "`frame` world needs the camera's R and t; found no camera file, expected one "
+            "(`camera` FILE)"
         )
     if config.frame == "view" and view.camera.model != "perspective":
         raise InputError(
-            f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned network"
+            f"{camera_file}: model is {view.camera.model}, expected perspective for a view-aligned "
+            "network"
         )
     return network_scene(
         image,
@@ -95,7 +107,7 @@ def load_network_scene(
 
 
 def network_scene(
-    image: NDArray[np.uint8],
+    image: Pixels,
     view: View,
     network: BaseNetwork,
     config: NetworkConfig,
@@ -104,36 +116,32 @@ def network_scene(
     world: bool = False,
     placing: Placing = "silhouette",
 ) -> Scene:
-    """`load_network_scene` for a photo [H, W, 3] or [H, W, 4] with its mask and perspective camera, and a network in memory.
+    """`load_network_scene` for a photo [H, W, 3] or [H, W, 4], its view, and a network in memory.
 
-    ``source`` says where the camera is from; without ``known_camera`` the crop gets the canonical one (view-aligned only).
+    ``source`` says where the camera of the view is from. Without ``known_camera`` the crop gets the
+    canonical camera, which only a view-aligned network can use.
     """
     import torch
 
     inputs = network_input(image, view, config.image_size, config.crop_share, config.background)
     with torch.no_grad():
         points = network(torch.from_numpy(inputs.image).unsqueeze(0))[0].double().numpy()
-    # Ask the photo: the crop is enlarged and hides that the mask is coarse.
-    for doubt in mask_doubts(view, len(points)):
-        warnings.warn(doubt, stacklevel=2)
+    # Of the photo's mask: the crop is enlarged and hides that a mask is coarse.
+    known = [photo(view, 0), coarse(view, 0, len(points)), specks(view, 0)]
     crop, to_output, frame = inputs.view(view.name), Scene.to_output, config.frame
     summary = f"camera {source}" if known_camera else f"canonical camera {NO_FILE}"
     if config.frame == "view":
         if not known_camera:
             crop = replace(crop, camera=Camera.canonical(config.image_size, config.image_size))
             if not config.crop_share:
-                warnings.warn(
-                    f"{view.name}: the network tells sizes by the whole picture, which without a camera is taken for that of "
-                    "the canonical one (--camera FILE)",
-                    stacklevel=2,
-                )
+                known.append(Finding("assumed-picture", (0,)))
         placed = _placed(points, crop, view, placing, config.sigma_sq)
         distance = f"at distance {placed.t[2]:.3g}"
         if placing == "camera":
             summary += " (only its K and distance)"
             source += f"; the network's cloud is placed where it has the object, {distance}"
         else:
-            # Without a crop of fixed size, t decides which part of the picture the network sees.
+            # Without a crop of fixed size, t decides which part of the picture a network sees.
             used, verb = ("K", "counts") if config.crop_share else ("K and t", "count")
             if known_camera:
                 summary += f" (only its {used})"
@@ -147,8 +155,18 @@ def network_scene(
             def to_output(points: Array) -> Array:
                 return view_to_world(points, placed, view.camera)
 
-    about = (None, network, inputs.image, config.sigma_sq)
-    return Scene(points, (crop,), (source,), summary, frame, *about, to_output=to_output)
+    cloud = Cloud(points, "the network's prediction", predicted=True)
+    found = tuple(finding for finding in known if finding)
+    return Scene(
+        RefineScene(cloud, (crop,), known=found),
+        (source,),
+        summary,
+        frame,
+        network=network,
+        image=inputs.image,
+        sigma_sq=config.sigma_sq,
+        to_output=to_output,
+    )
 
 
 def _placed(points: Array, crop: View, view: View, placing: Placing, sigma_sq: float) -> Camera:
@@ -157,7 +175,8 @@ def _placed(points: Array, crop: View, view: View, placing: Placing, sigma_sq: f
         depth = view.camera.t[2]
         if depth <= 0.0:
             raise InputError(
-                f"{view.name}: the camera has the object at depth {depth:g}, expected it in front (> 0)"
+                f"{view.name}: the camera has the object at depth {depth:g}, expected it in front "
+                "(> 0)"
             )
         return replace(crop.camera, R=CANONICAL_ROTATION, t=view.camera.t)
     camera = place_in_front(points, crop)
@@ -169,10 +188,13 @@ def _placed(points: Array, crop: View, view: View, placing: Placing, sigma_sq: f
 
 
 def place_in_front(points: Array, view: View) -> Camera:
-    """The canonical camera with the view's K, shifted so that a view-aligned, centred cloud [N, 3] fills the mask's box.
+    """The canonical camera with the view's K, shifted so that the cloud [N, 3] fills the mask's box.
 
-    A crop shows neither distance nor size of the object: at the distance chosen the longer side of the projected box equals the
-    mask's, and a sideways shift centres it on the mask's.
+    The cloud is view-aligned and centred.
+
+    A crop shows neither distance nor size of the object. At the distance chosen, the longer side of
+    the projected box is as long as the longer side of the mask's box. A sideways shift centres one
+    on the other.
     """
     left, top, right, bottom = view.box()
     size, middle = max(right - left, bottom - top), np.array([left + right, top + bottom]) / 2.0
@@ -184,7 +206,7 @@ def place_in_front(points: Array, view: View) -> Camera:
     )
     focal = camera.K[[0, 1], [0, 1]]
     nearest = float(points[:, 2].max()) + 0.1
-    # The size of the box is almost inversely proportional to the distance, so this converges in a few rounds.
+    # The size of the box is almost inversely proportional to the distance, so this converges fast.
     for _ in range(50):
         pixels, _ = camera.project(points)
         low, high = pixels.min(0) - 0.5, pixels.max(0) + 0.5
@@ -200,10 +222,11 @@ def place_in_front(points: Array, view: View) -> Camera:
 def align_silhouette(
     points: Array, view: View, sigma_sq: float = 0.4, steps: int = ALIGNMENT_STEPS
 ) -> Camera:
-    """The view's camera, shifted to where the silhouette of a cloud agrees best with the mask (BCE, Eq. 4).
+    """The view's camera, shifted to where the cloud's silhouette agrees best with the mask (Eq. 4).
 
-    A box depends on the outermost points of a prediction, which are often wrong; the silhouette depends on all of them. The
-    camera must be about right already, as from `place_in_front`; ``sigma_sq`` is in px^2.
+    A box depends on the outermost points of a prediction, which are often wrong. The silhouette
+    depends on all of them. The camera must be about right already, as from `place_in_front`.
+    ``sigma_sq`` is in px^2.
     """
     known = 1.0 if view.known is None else view.known
     mask = view.mask.astype(np.float64)
@@ -219,19 +242,21 @@ def align_silhouette(
         return value, projected.in_camera(gradient_px).sum(0, keepdims=True)
 
     optimiser = Adam(ALIGNMENT_STEP * float(np.ptp(points, axis=0).max()))
-    best = descend(PointParameters(np.zeros((1, 3)), optimiser), silhouette_loss, steps).best[0]
+    best = minimise(PointParameters(np.zeros((1, 3)), optimiser), silhouette_loss, steps).best[0]
     return replace(view.camera, t=view.camera.t + best)
 
 
 def view_to_world(points: Array, placed: Camera, camera: Camera) -> Array:
     """A view-aligned cloud, which ``placed`` projects onto the picture, in the world of ``camera``.
 
-    The picture fixes the cloud up to a scale about the camera's centre, chosen so that the cloud's origin gets the depth of
-    the world's origin. Raises InputError if that is not in front of ``camera``.
+    The picture fixes the cloud up to a scale about the camera's centre. The scale is chosen so that
+    the cloud's origin has the depth of the world's origin. Raises InputError if that is not in
+    front of ``camera``.
     """
     if camera.t[2] <= 0.0:
         raise InputError(
-            f"the world's origin has depth {camera.t[2]:g} in this camera, expected it in front (> 0)"
+            f"the world's origin has depth {camera.t[2]:g} in this camera, expected it in front "
+            "(> 0)"
         )
     points_camera = (points @ placed.R.T + placed.t) * (camera.t[2] / placed.t[2])
     return (points_camera - camera.t) @ camera.R

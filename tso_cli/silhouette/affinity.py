@@ -12,34 +12,40 @@ from ..kernels.tensors import PrecomputedGradient, called, use_numba
 from .bce import pixel_weight, pixels_to_points
 from .projection import pixels_under
 
-# Where the sum is this, the silhouette is 0.5.
-HALF = math.atanh(0.5)
+# The sum at which the silhouette is 0.5.
+SUM_AT_HALF = math.atanh(0.5)
 
 
 def affinity(
     sums: Tensor, mask: Tensor, points_px: Tensor, valid: Tensor, form: str = "points"
 ) -> Tensor:
-    """Nearest-point affinity loss (Eq. 5); ``sums``, ``mask``, ``points_px`` and ``valid`` as in `silhouette_bce`.
+    """Nearest-point affinity loss (Eq. 5).
+
+    ``sums``, ``mask``, ``points_px`` and ``valid`` are as in `silhouette_bce`.
 
     Parameters
     ----------
-    form : "paper" is Eq. 5 as printed, over all pairs of pixels, except that M^+ are the pixels over 0.5: among all that are
-        not zero, the least product lies on the rim of a Gaussian and half of the loss vanishes. A stray silhouette pixel
-        costs the least product of squared distance to a mask pixel and the mask there; a mask pixel the least product of
-        squared distance to a silhouette pixel and the silhouette there, which rewards dimming that pixel.
-        "points": each uncovered mask pixel (silhouette <= 0.5) attracts its nearest projected point, and each point on
-        background inside the image is attracted by the mask pixel nearest to its pixel; where several are equally near,
-        plain torch, numba and Triton may differ in which. O(HW).
+    form : "paper" or "points".
+
+    1. "paper" is Eq. 5 as printed, over all pairs of pixels, except that M^+ holds the pixels over
+       0.5. With all pixels over 0, the least product would lie on the rim of a Gaussian and half of
+       the loss would vanish. A silhouette pixel outside the mask costs the least product of the
+       squared distance to a mask pixel and the mask there. A mask pixel costs the least product of
+       the squared distance to a silhouette pixel and the silhouette there; this rewards a dimmer
+       silhouette.
+    2. "points" takes O(HW). Each uncovered mask pixel (silhouette <= 0.5) attracts its nearest
+       projected point. Each point on background inside the image is attracted by the mask pixel
+       nearest to the point's own pixel. Of several equally near, plain torch, numba and Triton may
+       choose different ones.
 
     Returns
     -------
-    [M] squared pixels, weighted by 64^4 / (W H)^2: distances and pixels are those of a 64x64 mask.
+    [M] squared pixels, weighted by 64^4 / (W H)^2: distances and areas of a 64x64 mask.
     """
-    inside, predicted = mask > 0.5, sums.detach() > HALF
+    inside, predicted = mask > 0.5, sums.detach() > SUM_AT_HALF
     if form == "points":
-        total = _points_to_mask(points_px, valid, inside) + pixels_to_points(
-            inside & ~predicted, mask, points_px, valid, 1.0
-        )
+        outside = _points_to_mask(points_px, valid, inside)
+        total = outside + pixels_to_points(inside & ~predicted, mask, points_px, valid, 1.0)
     else:
         silhouette = torch.tanh(sums)
         total = _least_products(silhouette, mask, inside) + _least_products(
@@ -49,19 +55,19 @@ def affinity(
 
 
 def _least_products(source: Tensor, target: Tensor, marked: Tensor) -> Tensor:
-    """Sum [M] over pixels of ``source`` times the least squared distance * ``target`` over the ``marked`` pixels.
+    """Sum [M] over pixels of ``source`` * the least squared distance * ``target``.
 
-    All pairs: where the least product lies depends on the values, so no distance transform finds it.
+    The least product is taken over the ``marked`` pixels.
+
+    All pairs are compared, because no distance transform finds a product that depends on values.
     """
     width, terms = source.shape[-1], []
     for weight, values, marks in zip(
         source.flatten(1), target.flatten(1), marked.flatten(1), strict=True
     ):
         # A marked pixel is at distance 0 from itself.
-        pixels, candidates = (
-            torch.nonzero((weight > 0.0) & ~marks).squeeze(1),
-            torch.nonzero(marks).squeeze(1),
-        )
+        pixels = torch.nonzero((weight > 0.0) & ~marks).squeeze(1)
+        candidates = torch.nonzero(marks).squeeze(1)
         if len(pixels) == 0 or len(candidates) == 0:
             terms.append(weight.sum() * 0.0)
             continue
@@ -86,7 +92,7 @@ def _least_products(source: Tensor, target: Tensor, marked: Tensor) -> Tensor:
 
 
 def _points_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
-    """Sum [M] over points on background of the squared distance to the nearest pixel ``inside``."""
+    """Sum [M] over points outside the mask of the squared distance to the nearest mask pixel."""
     if use_numba(points_px):
         from ..kernels.losses_numba import points_to_mask
 
@@ -97,5 +103,5 @@ def _points_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
     rows, columns = nearest_marked(inside)
     pixel, in_image = pixels_under(points_px, valid, *inside.shape[-2:])
     nearest_px = torch.stack([index.flatten(1).gather(1, pixel) for index in (columns, rows)], -1)
-    stray = in_image & ~inside.flatten(1).gather(1, pixel) & (nearest_px[..., 0] >= 0)
-    return torch.where(stray.unsqueeze(-1), points_px - nearest_px, 0.0).square().sum((-1, -2))
+    outside = in_image & ~inside.flatten(1).gather(1, pixel) & (nearest_px[..., 0] >= 0)
+    return torch.where(outside.unsqueeze(-1), points_px - nearest_px, 0.0).square().sum((-1, -2))

@@ -23,11 +23,9 @@ def silhouette_bce(
     sigma_sq: float,
     known: Tensor | None = None,
 ) -> Tensor:
-    """Binary cross-entropy between mask and silhouette (Eq. 4), computed from the sum s and not from tanh(s).
+    """Binary cross-entropy of mask and silhouette (Eq. 4), from the sum s and not from tanh(s).
 
-    ``-log(1 - tanh s) = softplus(2 s) - log 2`` neither overflows nor loses its gradient where many points stack. At mask
-    pixels whose sum is negligible (under 1e-8), s is that of the nearest projected point alone,
-    ``log s = -d^2 / (2 sigma^2)``: far pixels attract too, and attract the right point.
+    The formulas are explained in `tso_cli.losses.silhouette.silhouette_bce`.
 
     Parameters
     ----------
@@ -38,44 +36,46 @@ def silhouette_bce(
     -------
     [M] sum over pixels, weighted by 64^2 / (W H) so that settings hold at any resolution.
     """
-    covering, freeing = (
-        (mask, 1.0 - mask) if known is None else (mask * known, (1.0 - mask) * known)
-    )
+    foreground, background = mask, 1.0 - mask
+    if known is not None:
+        foreground, background = mask * known, (1.0 - mask) * known
     if use_numba(points_px):
         from ..kernels.losses_numba import cross_entropy
 
-        value, by_sums, waiting = called(cross_entropy, sums, covering, freeing, NEGLIGIBLE)
+        value, by_sums, waiting = called(cross_entropy, sums, foreground, background, NEGLIGIBLE)
         covered = PrecomputedGradient.apply(sums, value, by_sums)
     else:
-        covered, waiting = _cross_entropy(sums, covering, freeing)
-    return (
-        covered + pixels_to_points(waiting, covering, points_px, valid, 0.5 / sigma_sq)
-    ) * pixel_weight(sums)
+        covered, waiting = _cross_entropy(sums, foreground, background)
+    uncovered = pixels_to_points(waiting, foreground, points_px, valid, 0.5 / sigma_sq)
+    return (covered + uncovered) * pixel_weight(sums)
 
 
 def pixel_weight(image: Tensor) -> float:
-    """Pixels of a 64x64 mask to one of ``image`` [..., H, W]."""
+    """Pixels of a 64x64 mask in one pixel of ``image`` [..., H, W]."""
     return REFERENCE_PIXELS / (image.shape[-1] * image.shape[-2])
 
 
-def _cross_entropy(sums: Tensor, covering: Tensor, freeing: Tensor) -> tuple[Tensor, Tensor]:
-    """Sum [M] of the cross-entropy without uncovered mask pixels, and which pixels [M, H, W] these are.
+def _cross_entropy(sums: Tensor, foreground: Tensor, background: Tensor) -> tuple[Tensor, Tensor]:
+    """Sum [M] of the cross-entropy without uncovered mask pixels, and these pixels [M, H, W].
 
-    ``covering`` and ``freeing`` [M, H, W] are the weights of the two terms of Eq. 4.
+    ``foreground`` and ``background`` [M, H, W] are the weights of the two terms of Eq. 4.
     """
     covered = sums > NEGLIGIBLE
     s = torch.where(covered, sums, 1.0)
     log_tanh = torch.log(-torch.expm1(-2.0 * s)) - torch.log1p(torch.exp(-2.0 * s))
     missed = torch.where(covered, -log_tanh, 0.0)
-    stray = torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)
-    total = (missed * covering + stray * freeing).sum((-1, -2))
-    return total, (sums <= NEGLIGIBLE) & (covering > 0.0)
+    extra = torch.nn.functional.softplus(2.0 * sums) - math.log(2.0)
+    total = (missed * foreground + extra * background).sum((-1, -2))
+    return total, (sums <= NEGLIGIBLE) & (foreground > 0.0)
 
 
 def pixels_to_points(
     pixels: Tensor, weight: Tensor, points_px: Tensor, valid: Tensor, factor: float
 ) -> Tensor:
-    """Sum [M] over ``pixels`` [M, H, W] of weight * factor * squared distance to the nearest projected point."""
+    """Sum [M] over ``pixels`` [M, H, W] of ``weight`` * ``factor`` * squared distance.
+
+    The distance is to the nearest projected point.
+    """
     if use_numba(points_px):
         from ..kernels.losses_numba import pixels_to_points as compiled
 
@@ -87,7 +87,8 @@ def pixels_to_points(
     width, count = pixels.shape[2], points_px.shape[1]
     number = torch.arange(index.shape[1], device=index.device)
     paired = index >= 0
-    # Pixels without a point take one in turn: zeros added to one and the same point would wait for each other on a GPU.
+    # Each pixel without a point takes another point: zeros that a GPU adds to a single point would
+    # wait for one another.
     partner = torch.where(paired, index, number % count)
     centres = torch.stack([number % width, number // width], 1)
     squared = (centres - torch.take_along_dim(points_px, partner.unsqueeze(-1), 1)).square().sum(-1)

@@ -9,11 +9,12 @@ from ..kernels.nearest import nearest_both_ways
 
 
 def chamfer(prediction: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-    """Chamfer distance between ``prediction`` [B, N, 3] and ``target`` [B, M, 3], differentiable in both.
+    """Chamfer distance of ``prediction`` [B, N, 3] and ``target`` [B, M, 3], with gradients.
 
     Returns
     -------
-    forward [B], target -> prediction, and backward [B], prediction -> target: squared distances, mean over points.
+    forward [B], target -> prediction, and backward [B], prediction -> target. Squared distances,
+    mean over points.
     """
     to_target, to_prediction = nearest_both_ways(prediction, target)
     forward = target - torch.take_along_dim(prediction, to_prediction.unsqueeze(-1), 1)

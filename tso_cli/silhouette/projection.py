@@ -1,4 +1,7 @@
-"""World -> camera -> pixels -> silhouette: the paper's projection (Eq. 1 to 3), batched over clouds and views."""
+"""World -> camera -> pixels -> silhouette: the paper's projection (Eq. 1 to 3).
+
+It is batched over clouds and views.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,10 @@ from ..kernels.splat import splat
 
 @dataclass(frozen=True, eq=False)
 class CameraBatch:
-    """Perspective cameras. ``K``, ``R`` [..., V, 3, 3], ``t`` [..., V, 3]; a leading axis, if any, is that of the clouds."""
+    """Perspective cameras: ``K`` and ``R`` [..., V, 3, 3], ``t`` [..., V, 3].
+
+    A leading axis, if there is one, is the axis of the clouds.
+    """
 
     K: Tensor
     R: Tensor
@@ -31,27 +37,28 @@ class Projected(NamedTuple):
 
 
 def project(points: Tensor, cameras: CameraBatch) -> Projected:
-    """Eq. 1, ``p^ = K (R p + t)``, with the perspective division it implies.
+    """Eq. 1, ``p^ = K (R p + t)``, with its perspective division.
 
-    ``points`` [B, N, 3] are seen by V cameras, the same for all clouds ([V, ...]) or different ones ([B, V, ...]). Points at or
-    behind a camera are invalid; their pixel coordinates are finite and get no gradient.
+    V cameras see ``points`` [B, N, 3]: the same cameras for all clouds ([V, ...]), or different
+    ones ([B, V, ...]). Points at or behind a camera are invalid; their pixel coordinates are finite
+    and get no gradient.
     """
-    camera = points.unsqueeze(-3) @ cameras.R.transpose(-1, -2) + cameras.t.unsqueeze(
-        -2
-    )  # [B, V, N, 3]
-    plane, depth = camera[..., :2], camera[..., 2]
+    # [B, V, N, 3]
+    camera = points.unsqueeze(-3) @ cameras.R.transpose(-1, -2) + cameras.t.unsqueeze(-2)
+    plane, depth = camera[..., :2], camera[..., 2:]
     valid = depth > NEAR
-    plane = torch.where(valid.unsqueeze(-1), plane, 0.0) / torch.where(valid, depth, 1.0).unsqueeze(
-        -1
-    )
+    plane = torch.where(valid, plane, 0.0) / torch.where(valid, depth, 1.0)
     linear, centre = cameras.K[..., :2, :2], cameras.K[..., :2, 2]
-    return Projected(plane @ linear.transpose(-1, -2) + centre.unsqueeze(-2), valid)
+    return Projected(plane @ linear.transpose(-1, -2) + centre.unsqueeze(-2), valid[..., 0])
 
 
 def pixels_under(
     points_px: Tensor, valid: Tensor, height: int, width: int
 ) -> tuple[Tensor, Tensor]:
-    """The pixels ``row * width + column`` that points fall on [M, N], 0 outside the image, and whether they fall inside."""
+    """The pixel ``row * width + column`` of each point, and whether it is in the image: [M, N].
+
+    The pixel of a point outside the image is 0.
+    """
     pixel = points_px.detach().round()
     in_image = valid & (pixel >= 0).all(-1) & (pixel < pixel.new_tensor([width, height])).all(-1)
     column, row = torch.where(in_image.unsqueeze(-1), pixel, 0.0).long().unbind(-1)
@@ -59,7 +66,10 @@ def pixels_under(
 
 
 def silhouette_sums(projected: Projected, cameras: CameraBatch, sigma_sq: float) -> Tensor:
-    """The sums s [B, V, H, W] whose tanh is the silhouette (Eq. 2); losses take s, which keeps what tanh rounds away."""
+    """The sums s [B, V, H, W] whose tanh is the silhouette (Eq. 2).
+
+    Losses take s, because tanh rounds large sums to 1.
+    """
     points_px, valid = projected
     sums = splat(
         points_px.flatten(0, 1), valid.flatten(0, 1), cameras.height, cameras.width, sigma_sq

@@ -10,22 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Floats
 from ..geometry.resampling import area_resize
 from ..io.images import read_image
 from ..network.model import IMAGE_SIZE
 
-Floats = NDArray[np.float32]
 TEXTURES = "textures"
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
-# Photos kept in memory, 0.2 MB each, and the longest side they are shrunk to, in pixels.
+# Most photos kept in memory, 0.2 MB each, and the longest side to which they are shrunk, px.
 MOST_PHOTOS, PHOTO_SIDE = 2000, 256
 
 
 class Backgrounds:
-    """Random pictures [3, 64, 64] in [0, 1]: crops of the photos in the folder ``source``, or generated ("textures").
+    """Random pictures [3, 64, 64] in [0, 1].
 
-    A photo that cannot be read is warned of once and noted in ``unusable`` (photo -> why), and the next one takes its place;
-    with ``strict`` it is an error, as are a missing folder and one without a readable picture.
+    They are crops of the photos in the folder ``source``, or generated textures if it is
+    "textures". A photo that cannot be read causes one warning and an entry in ``unusable`` (photo
+    -> why), and the next photo takes its place. With ``strict`` it is an error. A missing folder,
+    and a folder without a readable picture, are always errors.
     """
 
     def __init__(self, source: str, strict: bool = False) -> None:
@@ -38,7 +40,8 @@ class Backgrounds:
         folder = Path(source)
         if not folder.is_dir():
             raise InputError(
-                f"{folder}: not a folder, expected one with photos for backgrounds, or {TEXTURES!r}"
+                f"{folder}: not a folder, "
+                f"expected a folder of photos for backgrounds, or {TEXTURES!r}"
             )
         self._paths = sorted(
             path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()
@@ -74,7 +77,7 @@ class Backgrounds:
                 self.unusable[str(path)] = str(error)
                 warnings.warn(f"{error}; left out", stacklevel=2)
         raise InputError(
-            f"{self.source}: no photo can be used, the first: {next(iter(self.unusable.values()))}"
+            f"{self.source}: no photo can be used; the first: {next(iter(self.unusable.values()))}"
         )
 
 
@@ -88,7 +91,7 @@ def _shrunk(path: Path) -> NDArray[np.uint8]:
 
 
 def texture(rng: np.random.Generator) -> Floats:
-    """A random texture [3, 64, 64]: a gradient between two colours with smooth noise at several scales."""
+    """A random texture [3, 64, 64]: a gradient between two colours, and noise at five scales."""
     ends = rng.uniform(0.0, 1.0, (2, 3, 1, 1))
     angle = rng.uniform(0.0, 2.0 * np.pi)
     across = np.linspace(-0.5, 0.5, IMAGE_SIZE)
@@ -97,9 +100,9 @@ def texture(rng: np.random.Generator) -> Floats:
     )
     image = ends[0] * (1.0 - ramp) + ends[1] * ramp
     for cells in (2, 4, 8, 16, 32):
-        coarse = rng.normal(
-            0.0, rng.uniform(0.0, 0.25), (3 if rng.random() < 0.5 else 1, cells + 1, cells + 1)
-        )
+        deviation = rng.uniform(0.0, 0.25)
+        channels = 3 if rng.random() < 0.5 else 1
+        coarse = rng.normal(0.0, deviation, (channels, cells + 1, cells + 1))
         image = image + _enlarged(coarse, IMAGE_SIZE)
     return np.clip(image, 0.0, 1.0).astype(np.float32)
 

@@ -1,4 +1,4 @@
-"""Batches of training data; a batch depends on (seed, step) alone."""
+"""Batches of training data. A batch depends on seed and step alone."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.arrays import Floats
 from ..geometry.camera import CANONICAL_ROTATION, Camera
 from ..network.input import NetworkInput
 from .data import TrainingData
 
-Floats = NDArray[np.float32]
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """B objects, each with V supervising masks; V is 0 without mask supervision."""
+    """B objects, each with V supervising masks. V is 0 if masks do not supervise."""
 
     images: Floats  # [B, 3, 64, 64]
-    targets: list[
-        Floats
-    ]  # B times [M, 3], in the frame of the prediction; empty where only masks supervise
+    # B times [M, 3], in the frame of the prediction; empty if only masks supervise
+    targets: list[Floats]
     masks: Floats  # [B, V, 64, 64]
     known: Floats  # [B, V, 64, 64], 1 or 0
     K: NDArray[np.float64]  # [B, V, 3, 3]
@@ -35,11 +34,9 @@ class Batch:
         """The objects at ``indices``."""
 
         def rows(values: Any) -> Any:
-            return (
-                values[indices]
-                if isinstance(values, np.ndarray)
-                else [values[i] for i in indices if values]
-            )
+            if isinstance(values, np.ndarray):
+                return values[indices]
+            return [values[i] for i in indices if values]
 
         return Batch(*(rows(getattr(self, field.name)) for field in fields(self)))
 
@@ -48,10 +45,13 @@ class Batch:
 class Drawing:
     """How batches are drawn.
 
-    size : objects a step; views : V, the supervising masks of each object; targets : hold the points of each object.
-    input_supervises : the mask of the input view is the one that supervises (V = 1).
+    size : number of objects in a step.
+    views : V, the number of supervising masks of each object.
+    targets : whether batches hold the points of each object.
+    input_supervises : the mask of the input view supervises, and no other (V = 1).
     balance : draw every category equally often, however many objects it has.
-    augment : mirror half of the pictures (view frame only) and change brightness, contrast and colour of the object.
+    augment : mirror half of the pictures (view frame only), and change brightness, contrast and
+        colour of the objects.
     """
 
     seed: int
@@ -68,8 +68,12 @@ class Drawing:
 class Draw:
     """One object of a batch.
 
-    index : of the object; view : number of its input view; supervising : numbers of the views whose masks supervise.
-    mirror : exchange left and right; colour_seed : None keeps the colours; background_seed : of what is put behind.
+    index : index of the object.
+    view : number of its input view.
+    supervising : numbers of the views whose masks supervise.
+    mirror : whether left and right are exchanged.
+    colour_seed : seed of the change of colours; None keeps them.
+    background_seed : seed of the background.
     """
 
     index: int
@@ -83,69 +87,62 @@ class Draw:
 def draw_batch(
     data: TrainingData, drawing: Drawing, step: int, part: tuple[int, int] = (0, 1)
 ) -> Batch:
-    """The batch of a step, or the part of it that process ``part`` = (rank, processes) works on.
+    """The batch of a step, or its part for one process: ``part`` is (rank, processes).
 
-    Objects come in a new random order after all have been drawn (those of each category, with ``balance``). The input view
-    and the supervising views, all different, are drawn at random; the input view may be among the supervising ones.
+    Objects are drawn in a random order, which is new after all objects (with ``balance``: all
+    objects of the category) have been drawn. The input view and the supervising views are drawn at
+    random. The supervising views are all different, and may include the input view.
     """
     rng = np.random.default_rng([drawing.seed, 1, step])
     draws = []
     for place in range(step * drawing.size, (step + 1) * drawing.size):
         index = _object_at(data, drawing, place)
         count = len(data.objects[index].views)
-        # Drawn whatever the settings are, so that a setting changes nothing but what it is about.
+        # All these are drawn under any settings, so that a setting does not change other draws.
         view = int(rng.integers(count))
         supervising = rng.permutation(count)[: drawing.views].tolist()
         mirror = bool(rng.random() < 0.5) and drawing.augment and drawing.frame == "view"
         colour_seed, background_seed = (int(rng.integers(2**31)) for _ in range(2))
         if drawing.input_supervises:
             supervising = [view]
-        draws.append(
-            Draw(
-                index,
-                view,
-                tuple(supervising),
-                mirror,
-                colour_seed if drawing.augment else None,
-                background_seed,
-            )
-        )
+        colour = colour_seed if drawing.augment else None
+        draws.append(Draw(index, view, tuple(supervising), mirror, colour, background_seed))
     return assemble(data, draws[part[0] :: part[1]], drawing.frame, drawing.targets)
 
 
 def _object_at(data: TrainingData, drawing: Drawing, place: int) -> int:
-    """Index of the object at ``place`` in the sequence of all epochs; with ``balance`` categories take turns."""
+    """Index of the object at ``place`` in the sequence of all epochs.
+
+    With ``balance`` categories take turns.
+    """
     if not drawing.balance:
         epoch, slot = divmod(place, len(data.objects))
-        return int(
-            np.random.default_rng([drawing.seed, 2, epoch]).permutation(len(data.objects))[slot]
-        )
+        rng = np.random.default_rng([drawing.seed, 2, epoch])
+        return int(rng.permutation(len(data.objects))[slot])
     turn, category = divmod(place, len(data.categories))
     members = data.categories[category]
     epoch, slot = divmod(turn, len(members))
-    return int(
-        members[
-            np.random.default_rng([drawing.seed, 3, category, epoch]).permutation(len(members))[
-                slot
-            ]
-        ]
-    )
+    rng = np.random.default_rng([drawing.seed, 3, category, epoch])
+    return int(members[rng.permutation(len(members))[slot]])
 
 
 def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = True) -> Batch:
     """The batch of these draws.
 
-    In the view frame the prediction is y = C R0 X, with X the object's points, R0 the rotation of the input camera and
-    C = diag(1, -1, -1): x right, y up, z toward the viewer. Camera v then sees R_v R0^T C y + t_v. Mirrored, with
-    M = diag(-1, 1, 1), the prediction is M y and camera v sees M R_v R0^T C M (M y) + M t_v.
+    1. In the view frame (x right, y up, z toward the viewer) the prediction is y = C R0 X, with X
+       the object's points, R0 the rotation of the input camera and C = diag(1, -1, -1). Camera v
+       sees R_v R0^T C y + t_v.
+    2. Mirrored, with M = diag(-1, 1, 1), the prediction is M y, and camera v sees
+       M R_v R0^T C M (M y) + M t_v.
     """
     images, points, masks, known = [], [], [], []
     K, R, t, categories = [], [], [], []
     for draw in draws:
         index, number, picture = data.usable(draw.index, draw.view, targets)
-        to_frame = (
-            np.eye(3) if frame == "canonical" else (CANONICAL_ROTATION @ picture.camera.R).T
-        )  # rows of X to rows of y
+        # From rows of X to rows of y.
+        to_frame = np.eye(3)
+        if frame != "canonical":
+            to_frame = (CANONICAL_ROTATION @ picture.camera.R).T
         flip = MIRROR if draw.mirror else np.eye(3)
         image = picture.image
         if draw.colour_seed is not None:
@@ -158,16 +155,12 @@ def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = 
         categories.append(data.objects[index].category)
         if targets:
             points.append((data.target(index) @ (to_frame @ flip)).astype(np.float32))
-        # Object and input view may stand in for unusable ones; the replacement then supervises too.
-        views = [
-            data.usable(index, number if view == draw.view else view)[2]
-            for view in draw.supervising
-        ]
+        # Object and input view may replace unusable ones; the replacement then supervises too.
+        numbers = (number if view == draw.view else view for view in draw.supervising)
+        views = [data.usable(index, each)[2] for each in numbers]
         masks.append([_mirrored(view.mask, draw.mirror) for view in views])
         known.append([_mirrored(view.known, draw.mirror) for view in views])
-        K.append(
-            [_mirrored_intrinsics(view.camera) if draw.mirror else view.camera.K for view in views]
-        )
+        K.append([_intrinsics(view.camera, draw.mirror) for view in views])
         R.append([flip @ view.camera.R @ to_frame @ flip for view in views])
         t.append([flip @ view.camera.t for view in views])
     inputs, masks_array, known_array = (
@@ -178,12 +171,12 @@ def assemble(data: TrainingData, draws: list[Draw], frame: str, targets: bool = 
 
 
 def recoloured(picture: NetworkInput, rng: np.random.Generator) -> Floats:
-    """The picture [3, H, W] with the object's light and colour changed; its surroundings stay."""
+    """The picture [3, H, W] with light and colour of the object changed; its surroundings stay."""
     gamma, brightness = np.exp(rng.uniform(-0.4, 0.4)), rng.uniform(-0.5, 0.3)
     gain = np.exp(brightness + rng.uniform(-0.4, 0.4) * rng.uniform(-1.0, 1.0, (3, 1, 1)))
     offset = rng.uniform(-0.1, 0.1)
     changed = np.clip(np.power(picture.image, gamma) * gain + offset, 0.0, 1.0)
-    # The soft mask blends the object's rim as before.
+    # The soft mask blends the rim of the object as before.
     opacity = picture.mask[None]
     return (picture.image * (1.0 - opacity) + changed * opacity).astype(np.float32)
 
@@ -192,8 +185,10 @@ def _mirrored(pixels: NDArray[Any], mirror: bool) -> NDArray[Any]:
     return pixels[..., ::-1] if mirror else pixels
 
 
-def _mirrored_intrinsics(camera: Camera) -> NDArray[np.float64]:
-    """K of the mirrored picture: u becomes W - 1 - u, and the camera's x becomes -x."""
+def _intrinsics(camera: Camera, mirror: bool) -> NDArray[np.float64]:
+    """K of the picture; mirrored, u becomes W - 1 - u, and the camera's x becomes -x."""
+    if not mirror:
+        return camera.K
     K = camera.K.copy()
     K[0, 1:] = -K[0, 1], camera.width - 1 - K[0, 2]
     return K

@@ -1,4 +1,4 @@
-"""Settings of a training."""
+"""The settings of a training."""
 
 from __future__ import annotations
 
@@ -12,23 +12,31 @@ from ..errors import InputError
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Settings of one training; InputError for one out of range.
+    """The settings of one training; InputError for a setting out of range.
 
     Parameters
     ----------
-    supervision : "points" (Chamfer to the target, 3D), "masks" (V views through the projector, 2D) or "joint" (points of one
-        data set and one mask for each image of another).
-    frame : of the predicted points, "view" or "canonical" (see `NetworkConfig`).
-    steps : Adam steps in all, those of a resumed run included. batch_size : objects a step.
-    views : V, supervising masks of each object a step ("masks" only); the paper's is 4.
-    affinity_weight : lambda of Eq. 6 ("masks" and "joint"); affinity : form of Eq. 5.
-    saturation_steps : window of `AffinitySchedule`; None for a sixth of ``steps``, from 10 to 500.
-    sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask; category_sigma_sq : category -> its own.
-    joint_weight : of the Chamfer distance beside the mask loss ("joint" only); 1e6, as gamma in refinement.
-    averaging : decay of the running mean of the weights, which is what is saved; 0 saves the last weights.
-    balance, augment : see `batches.Drawing`. workers : threads that prepare batches ahead.
-    precision : "bfloat16" runs the network's layers in mixed precision; weights, losses and the projector stay in float32.
-    seed : of the weights and of every draw. A run depends on it, the data and the device alone.
+    supervision : "points" (Chamfer distance to the target, 3D), "masks" (V views through the
+        projector, 2D) or "joint" (points of one data set, and one mask for each image of another
+        data set).
+    frame : frame of the predicted points, "view" or "canonical" (see `NetworkConfig`).
+    steps : number of Adam steps, including the steps before a resume.
+    batch_size : objects in a step.
+    views : V, number of supervising masks of each object in a step ("masks" only); 4 in the paper.
+    affinity_weight : lambda of Eq. 6 ("masks" and "joint").
+    affinity : form of Eq. 5.
+    saturation_steps : window of `AffinitySchedule`; None for a sixth of ``steps``, but 10 to 500.
+    sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask.
+    category_sigma_sq : category -> its variance, in place of ``sigma_sq``.
+    joint_weight : weight of the Chamfer distance relative to the mask loss ("joint" only); 1e6,
+        like gamma in refinement.
+    averaging : decay of the running mean of the weights, which is saved; 0 saves the last weights.
+    balance, augment : see `batches.Drawing`.
+    workers : threads that prepare batches ahead.
+    precision : "bfloat16" runs the layers of the network in mixed precision. Weights, losses and
+        projector stay in float32.
+    seed : seed of the weights and of every draw. A run depends on the seed, the data and the device
+        alone.
     """
 
     supervision: str = "points"

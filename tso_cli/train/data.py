@@ -1,4 +1,7 @@
-"""Training data: objects with pictures, masks, cameras and points, prepared once and cached while there is room."""
+"""Training data: objects with pictures, masks, cameras and points.
+
+They are prepared once and cached while there is room.
+"""
 
 from __future__ import annotations
 
@@ -13,34 +16,40 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..datasets.items import Floats, ObjectItem
+from ..datasets.items import ObjectItem
 from ..errors import InputError
+from ..geometry.arrays import Floats
 from ..geometry.camera import Camera
 from ..geometry.view import View
 from ..network.input import NetworkInput, network_input
 from .backgrounds import Backgrounds
 
 T = TypeVar("T")
-# Memory for prepared views, 20 KiB each, and targets; the rest is read again when it is needed.
+# Memory for prepared views, 20 KiB each, and targets. Other views are read again when they are
+# needed.
 CACHE_BYTES = 1 << 30
-# Unusable pictures that are warned of by name; the command counts them all.
+# Most warnings of unusable pictures, each with its name. The command counts all of them.
 MOST_WARNINGS = 10
-# Objects whose first picture enters the fingerprint.
+# Number of objects whose first picture enters the fingerprint.
 FINGERPRINTED = 16
 
 
 @dataclass(eq=False)
 class TrainingData:
-    """Objects prepared for training. Several threads may use it at once.
+    """Objects prepared for training. Several threads may use them at once.
 
-    objects : at least one, each with at least one view. description : in words, for the checkpoint.
-    crop_share, background : of `network_input`.
-    strict : an unusable picture is an error; else it is warned of, and another takes its place.
-    backgrounds : what `batches` puts behind the object, cut out by its mask; needs background "keep".
-    skipped : item that the data set left out -> why. scale : of all clouds and cameras, in words.
-    categories : indices of the objects of each category, one array a category.
+    objects : at least one, each with at least one view.
+    description : the data in words, for the checkpoint.
+    crop_share, background : arguments of `network_input`.
+    strict : whether an unusable picture is an error. Otherwise it causes a warning, and another
+        picture takes its place.
+    backgrounds : pictures that `batches` puts behind the object, which is cut out by its mask; they
+        need background "keep".
+    skipped : item that the data set left out -> why.
+    scale : scale of all clouds and cameras, in words.
+    categories : indices of the objects of each category, one array for each category.
     unusable : picture, or object whose points cannot be read -> why.
-    not_judged : object that cannot be evaluated because its points cannot be read -> why.
+    not_evaluated : object that cannot be evaluated because its points cannot be read -> why.
     """
 
     objects: Sequence[ObjectItem]
@@ -53,15 +62,16 @@ class TrainingData:
     scale: str = "longest side 1"
     categories: list[NDArray[np.int64]] = field(init=False)
     unusable: dict[str, str] = field(init=False, default_factory=dict)
-    not_judged: dict[str, str] = field(init=False, default_factory=dict)
+    not_evaluated: dict[str, str] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        # The other cameras are checked when they are loaded: some need a model to be read first.
+        # The other cameras are checked when they are loaded, because some need a model to be read.
         first = self.objects[0].views[0]
         _require_perspective(first.name, first.camera)
         if self.backgrounds is not None and self.background != "keep":
             raise InputError(
-                f"backgrounds with background {self.background!r}, expected 'keep': they stay in the picture"
+                f"backgrounds with background {self.background!r}, "
+                "expected 'keep', which leaves them in the picture"
             )
         _, category = np.unique([item.category for item in self.objects], return_inverse=True)
         self.categories = [np.flatnonzero(category == i) for i in range(category.max() + 1)]
@@ -73,7 +83,10 @@ class TrainingData:
         self._lock = threading.Lock()
 
     def fingerprint(self) -> str:
-        """A digest of all names and of the first view of some objects: a resumed run must see the same data."""
+        """A digest of all names and of the first view of some objects.
+
+        A resumed run must see the same data.
+        """
         backgrounds = self.backgrounds.source if self.backgrounds else ""
         digest = hashlib.sha256(f"{self.crop_share}/{self.background}/{backgrounds}".encode())
         for item in self.objects:
@@ -88,26 +101,31 @@ class TrainingData:
         return digest.hexdigest()[:16]
 
     def readable(self, index: int) -> bool:
-        """Whether the points of an object can be read; if not, ``not_judged`` says why."""
+        """Whether the points of an object can be read; if not, ``not_evaluated`` says why."""
         try:
             self.target(index)
         except InputError as error:
-            self.not_judged[self.objects[index].name] = self.objects[index].lacking or str(error)
+            item = self.objects[index]
+            self.not_evaluated[item.name] = item.lacking or str(error)
             return False
         return True
 
-    def judged(self, most: int) -> list[int]:
-        """Indices of at most ``most`` objects, spread evenly over those that have a 3D file, less what cannot be read."""
+    def evaluable(self, most: int) -> list[int]:
+        """Indices of at most ``most`` objects, spread evenly over the objects with a 3D file.
+
+        Objects that cannot be read are left out.
+        """
         indices = []
-        for index in _spread(
-            [i for i, item in enumerate(self.objects) if item.target is not None], most
-        ):
+        with_target = [i for i, item in enumerate(self.objects) if item.target is not None]
+        for index in _spread(with_target, most):
             try:
                 if self.readable(index) and self.usable(index, 0, points=True)[0] == index:
                     indices.append(index)
             except InputError as error:
-                self.not_judged[self.objects[index].name] = str(error)
-        self.not_judged |= {item.name: item.lacking for item in self.objects if item.target is None}
+                self.not_evaluated[self.objects[index].name] = str(error)
+        for item in self.objects:
+            if item.target is None:
+                self.not_evaluated[item.name] = item.lacking
         return indices
 
     def target(self, index: int) -> Floats:
@@ -124,9 +142,9 @@ class TrainingData:
         return points
 
     def prepared(self, index: int, view: int) -> NetworkInput:
-        """Picture, mask and camera of one view, cropped as the network's input, in steps of 1/255.
+        """Picture, mask and camera of one view, cropped to the network's input, in steps of 1/255.
 
-        The object stands on black if ``backgrounds`` are to be put behind it.
+        The object stands on black if one of ``backgrounds`` will be put behind it.
         """
         packed = self._views.get((index, view))
         if packed is None:
@@ -143,10 +161,12 @@ class TrainingData:
         return replace(packed, image=packed.image * step, mask=packed.mask * step)
 
     def usable(self, index: int, view: int, points: bool = False) -> tuple[int, int, NetworkInput]:
-        """Index, view number and picture (`prepared`) of the first usable view from this one on, in this object and the next.
+        """The first usable view from this one on, in this object and the following objects.
 
-        With ``points`` objects whose target cannot be read are passed over. Raises InputError if no picture can be used; with
-        ``strict`` at the first picture or target that cannot.
+        With ``points`` an object is passed over if its target cannot be read. Returns the index of
+        the object, the number of the view, and the picture (`prepared`). Raises InputError if no
+        picture can be used; with ``strict`` also at the first picture or target that cannot be
+        used.
         """
         for step in range(len(self.objects)):
             at = (index + step) % len(self.objects)
@@ -160,11 +180,15 @@ class TrainingData:
                 if picture is not None:
                     return at, number, picture
         raise InputError(
-            f"{self.description}: no picture can be used, the first: {next(iter(self.unusable.values()))}"
+            f"{self.description}: no picture can be used; "
+            f"the first: {next(iter(self.unusable.values()))}"
         )
 
     def _attempt(self, key: tuple[int, int | None], load: Callable[[], T]) -> T | None:
-        """What ``load`` gives; None if the view, or the points of an object (view None), cannot be used."""
+        """What ``load`` returns; None if the view, or the points of an object, cannot be used.
+
+        ``key`` is the object and the view, which is None for the object's points.
+        """
         if key in self._bad:
             return None
         try:
@@ -196,10 +220,8 @@ def _as_bytes(values: Floats) -> Any:
 
 def _spread(indices: Sequence[int], most: int) -> list[int]:
     """At most ``most`` of ``indices``, evenly from the first to the last."""
-    places = np.unique(
-        np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int)
-    )
-    return [indices[place] for place in places]
+    places = np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int)
+    return [indices[place] for place in np.unique(places)]
 
 
 def _require_perspective(name: str, camera: Camera) -> None:

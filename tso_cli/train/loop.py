@@ -1,4 +1,4 @@
-"""Training the base network with points (the PSGN-FC baseline), with masks (CAPNet, Eq. 6), or with both."""
+"""Training of the base network with points (PSGN-FC), with masks (CAPNet, Eq. 6), or with both."""
 
 from __future__ import annotations
 
@@ -29,18 +29,19 @@ from .processes import Processes
 from .state import TrainingState, new_state
 from .step import Objective, batch_loss, draw_step, predict
 
-# Objects evaluated at the end of a training: thousands would take minutes.
-JUDGED_OBJECTS = 256
+# Most objects that are evaluated at the end of a training; thousands would take minutes.
+EVALUATED_OBJECTS = 256
 Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
 
 
 @dataclass(frozen=True, eq=False)
 class TrainResult:
-    """A trained network (in evaluation mode, on the CPU) and its training.
+    """A trained network (in evaluation mode, on the CPU), and the course of its training.
 
-    steps : done so far, those before a resume included. stop_reason : "max_steps" or "interrupted" (Ctrl-C).
-    history : [steps, 4]: loss, forward and backward (or BCE and affinity), lambda.
+    steps : number of steps done, including the steps before a resume.
+    stop_reason : "max_steps" or "interrupted" (Ctrl-C).
+    history : [steps, 4] loss, its two terms (forward and backward, or BCE and affinity), lambda.
     lambda_dropped_at : the step after which lambda dropped, or None.
     """
 
@@ -53,7 +54,7 @@ class TrainResult:
 
 
 def network_config(data: TrainingData, config: TrainConfig, steps: int) -> NetworkConfig:
-    """The configuration that a checkpoint after ``steps`` steps holds."""
+    """The configuration in a checkpoint after ``steps`` steps."""
     names = ("batch_size", "learning_rate", "averaging", "balance", "augment", "precision")
     settings: dict[str, Any] = {name: getattr(config, name) for name in names}
     if config.supervision != "points":
@@ -84,13 +85,14 @@ def network_config(data: TrainingData, config: TrainConfig, steps: int) -> Netwo
 def start(
     data: TrainingData, config: TrainConfig, initial: BaseNetwork | None = None
 ) -> TrainingState:
-    """A training at step 0, from random weights or from those of ``initial``."""
+    """A training at step 0, from random weights or from the weights of ``initial``."""
     assert config.saturation_steps is not None
     schedule = AffinitySchedule(config.affinity_weight, config.saturation_steps)
     network = copy.deepcopy(initial) if initial else build_network(config.points, config.seed)
     if network.decoder.points != config.points:
         raise InputError(
-            f"the initial network predicts {network.decoder.points} points, expected {config.points}"
+            f"the initial network predicts {network.decoder.points} points, "
+            f"expected {config.points}"
         )
     return new_state(
         network, config.learning_rate, schedule, data.fingerprint(), devices.resolve(config.device)
@@ -109,25 +111,28 @@ def train(
     save: Save | None = None,
     save_every: int = 0,
 ) -> TrainResult:
-    """Train until ``config.steps`` steps are done, or until Ctrl-C (the current step is finished first).
+    """Train until ``config.steps`` steps are done, or until Ctrl-C; the current step is finished.
 
     Parameters
     ----------
-    state : where to continue (`state.load_training`); None starts anew.
+    state : state to continue from (`state.load_training`); None starts anew.
     masked : images with one mask each ("joint" only).
     objective : replaces the loss of supervision with masks; its batches hold the targets too.
-    processes : train together; the result does not depend on their number, but for rounding.
+    processes : processes that train together; their number changes the result only by rounding.
     progress : called after every step with (step, steps, note), in the first process.
-    save : called with the state every ``save_every`` steps (0: never) and at the end, in the first process.
+    save : called with the state every ``save_every`` steps (0: never) and at the end, in the first
+        process.
 
-    Raises InputError if the data lack what the supervision needs or the steps are done already, TsoError if the loss is no
-    longer finite.
+    Raises InputError if the data lack what the supervision needs, or if the steps are done already.
+    Raises TsoError if the loss is not finite.
     """
     processes = processes or Processes()
     _require_data(data, masked, config, processes)
     state = state or start(data, config)
     if state.step >= config.steps:
-        raise InputError(f"{state.step} steps are done already, expected --steps above that")
+        raise InputError(
+            f"steps is {config.steps}, expected more: {state.step} steps are done already"
+        )
     device = next(state.network.parameters()).device
     saved_at = -1
     if not processes.first:
@@ -154,9 +159,12 @@ def train(
             processes.average([row])
             value, first, second = row.tolist()
             if not np.isfinite(value):
+                saved = "nothing was written"
+                if saved_at >= 0:
+                    saved = f"the last checkpoint is from step {saved_at}"
                 raise TsoError(
-                    f"the loss became {value} in step {state.step + 1} (learning rate {config.learning_rate:g}); "
-                    f"{f'the last checkpoint is from step {saved_at}' if saved_at >= 0 else 'nothing was written'}"
+                    f"the loss became {value} in step {state.step + 1} "
+                    f"(learning rate {config.learning_rate:g}); {saved}"
                 )
             processes.average(p.grad for p in state.network.parameters() if p.grad is not None)
             state.optimiser.step()
@@ -173,7 +181,8 @@ def train(
         if save:
             save(state, finished)
         processes.wait()
-    network = copy.deepcopy(state.averaged()).cpu().to(memory_format=torch.contiguous_format).eval()  # type: ignore[call-overload]
+    network = copy.deepcopy(state.averaged()).cpu().eval()
+    network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
     stop_reason = "max_steps" if state.step >= config.steps else "interrupted"
     history = np.array(state.history, dtype=np.float64).reshape(-1, 4)
     return TrainResult(
@@ -189,7 +198,8 @@ def _require_data(
     for name in config.category_sigma_sq:
         if name not in categories:
             raise InputError(
-                f"sigma^2 is given for {name!r}, expected one of the categories {', '.join(sorted(categories))}"
+                f"sigma^2 is given for {name!r}, "
+                f"expected one of the categories {', '.join(sorted(categories))}"
             )
     parts = processes.count * (2 if masked else 1)
     if config.batch_size % parts:
@@ -198,18 +208,19 @@ def _require_data(
         for item in data.objects:
             if len(item.views) < config.views:
                 raise InputError(
-                    f"{item.name}: has {len(item.views)} views, expected at least the {config.views} that supervise a step"
+                    f"{item.name}: has {len(item.views)} views, "
+                    f"expected at least the {config.views} that supervise a step"
                 )
     elif lacking := next((item.name for item in data.objects if item.target is None), None):
         raise InputError(
-            f"{lacking}: has no points to learn from, expected some (or --supervision masks)"
+            f"{lacking}: has no points to learn from, expected some (or `supervision` masks)"
         )
 
 
 def prefetched(
     draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int
 ) -> Generator[list[Batch], None, None]:
-    """The batches of steps ``first`` to ``steps`` - 1; threads draw the next ``workers`` of them meanwhile."""
+    """The batches of steps ``first`` to ``steps`` - 1; threads draw ``workers`` batches ahead."""
     pool = ThreadPoolExecutor(workers, thread_name_prefix="tso-batch")
     waiting: deque[Future[list[Batch]]] = deque()
     try:
@@ -224,23 +235,27 @@ def prefetched(
 
 
 def evaluate(
-    network: BaseNetwork, data: TrainingData, frame: str, views: int = 4, most: int = JUDGED_OBJECTS
+    network: BaseNetwork,
+    data: TrainingData,
+    frame: str,
+    views: int = 4,
+    most: int = EVALUATED_OBJECTS,
 ) -> tuple[float, float, int]:
-    """Forward and backward Chamfer distance of predictions to the targets, and the number of objects they are means of.
+    """Mean forward and backward Chamfer distance of predictions to targets, and number of objects.
 
-    Squared, mean over points, in the scale of ``data``; over the first ``views`` views of at most ``most`` objects, spread
-    evenly over those with a 3D file. NaN without any.
+    Distances are squared, mean over points, in the scale of ``data``. The means are taken over the
+    first ``views`` views of at most ``most`` objects, spread evenly over the objects with a 3D
+    file; they are NaN without any.
     """
     distances = []
     device = next(network.parameters()).device
     with torch.no_grad():
-        for index in data.judged(most):
+        for index in data.evaluable(most):
             count = min(views, len(data.objects[index].views))
             batch = assemble(data, [Draw(index, view) for view in range(count)], frame)
             points = network(torch.as_tensor(batch.images, device=device))
-            forward, backward = chamfer(
-                points, torch.as_tensor(np.stack(batch.targets), device=device)
-            )
+            targets = torch.as_tensor(np.stack(batch.targets), device=device)
+            forward, backward = chamfer(points, targets)
             distances.append((float(forward.mean()), float(backward.mean())))
     forward_mean, backward_mean = np.mean(distances, axis=0) if distances else (np.nan, np.nan)
     return float(forward_mean), float(backward_mean), len(distances)
@@ -248,7 +263,10 @@ def evaluate(
 
 @contextmanager
 def _deferred_interrupt() -> Iterator[threading.Event]:
-    """Ctrl-C sets the event, so that the current step or file is finished; a second Ctrl-C interrupts at once."""
+    """Ctrl-C sets the event, so that the current step or file is finished.
+
+    A second Ctrl-C interrupts at once.
+    """
     pressed = threading.Event()
 
     def note(*_: object) -> None:

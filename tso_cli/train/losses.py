@@ -1,4 +1,4 @@
-"""Training losses: Chamfer distance to the target (PSGN-FC), or masks through the projector (CAPNet)."""
+"""Training losses: Chamfer distance to targets (PSGN-FC), masks through the projector (CAPNet)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ from ..silhouette.chamfer import chamfer
 from ..silhouette.projection import CameraBatch, Projected, project, silhouette_sums
 from .batches import Batch
 
-# The supplement: "reduced to 0.02 of its initial value upon loss saturation".
+# The supplement of the paper: "reduced to 0.02 of its initial value upon loss saturation".
 DROP = 0.02
 Silhouette = Callable[[Projected, CameraBatch], Tensor]
 
 
 def point_loss(points: Tensor, batch: Batch) -> tuple[Tensor, float, float]:
-    """Chamfer distance between predicted points [B, N, 3] and the targets, mean over the batch; and its two directions."""
+    """Chamfer distance of predicted points [B, N, 3] and the targets, and its two directions.
+
+    Each is a mean over the batch.
+    """
     if len({len(target) for target in batch.targets}) == 1:
         pairs = [(points, np.stack(batch.targets))]
     else:
@@ -45,7 +48,7 @@ def mask_loss_by_category(
     weight: float,
     form: str,
 ) -> tuple[Tensor, float, float]:
-    """`mask_loss` with the sigma^2 of each object's category: ``by_category``, else ``sigma_sq``."""
+    """`mask_loss` with the sigma^2 ``by_category``; ``sigma_sq`` for all other categories."""
     variances = np.array([by_category.get(category, sigma_sq) for category in batch.categories])
     if (variances == variances[0]).all():
         return mask_loss(points, batch, float(variances[0]), weight, form)
@@ -54,12 +57,9 @@ def mask_loss_by_category(
         index = np.flatnonzero(variances == variance)
         chosen = points[torch.as_tensor(index, device=points.device)]
         part = mask_loss(chosen, batch.select(index), float(variance), weight, form)
-        fraction = len(index) / len(variances)
-        loss, bce, outliers = (
-            loss + fraction * part[0],
-            bce + fraction * part[1],
-            outliers + fraction * part[2],
-        )
+        share = len(index) / len(variances)
+        loss = loss + share * part[0]
+        bce, outliers = bce + share * part[1], outliers + share * part[2]
     return loss, bce, outliers
 
 
@@ -71,13 +71,19 @@ def mask_loss(
     form: str,
     silhouette: Silhouette | None = None,
 ) -> tuple[Tensor, float, float]:
-    """BCE + lambda * affinity (Eq. 4 to 6) of predicted points [B, N, 3], summed over views, mean over the batch.
+    """BCE + lambda * affinity (Eq. 4 to 6) of predicted points [B, N, 3].
 
-    ``weight`` and ``form`` are lambda and the form of Eq. 5. ``silhouette`` gives the sums s [B, V, H, W] of another
-    projection; BCE then has the gradient of those sums alone. The affinity includes the squared distance, px^2, of each point
-    outside the crop to the crop's edge: BCE does not see such points, and the object lies inside the crop.
+    It is summed over views, mean over the batch. The affinity includes the squared distance, px^2,
+    from each point outside the crop to the edge of the crop: BCE does not see such points, and the
+    object lies inside the crop.
 
-    Returns the loss, and the values of BCE and of the affinity term (before its weight).
+    Parameters
+    ----------
+    weight, form : lambda, and the form of Eq. 5.
+    silhouette : returns the sums s [B, V, H, W] of another projection. BCE then has the gradient of
+        these sums alone.
+
+    Returns the loss, and the values of BCE and of the affinity (before its weight).
     """
 
     def like(array: Any) -> Tensor:
@@ -86,14 +92,12 @@ def mask_loss(
     height, width = batch.masks.shape[-2:]
     cameras = CameraBatch(like(batch.K), like(batch.R), like(batch.t), width, height)
     projected = project(points, cameras)
-    sums = (
-        silhouette(projected, cameras)
-        if silhouette
-        else silhouette_sums(projected, cameras, sigma_sq)
-    )
-    sums, masks, known = (
-        images.flatten(0, 1) for images in (sums, like(batch.masks), like(batch.known))
-    )  # [B V, H, W]
+    if silhouette:
+        sums = silhouette(projected, cameras)
+    else:
+        sums = silhouette_sums(projected, cameras, sigma_sq)
+    images = sums, like(batch.masks), like(batch.known)
+    sums, masks, known = (each.flatten(0, 1) for each in images)  # [B V, H, W]
     points_px, valid = projected.points_px.flatten(0, 1), projected.valid.flatten(0, 1)
     bce_points = points_px.detach() if silhouette else points_px
     bce = silhouette_bce(sums, masks, bce_points, valid, sigma_sq, known).sum() / len(points)
@@ -109,10 +113,11 @@ def mask_loss(
 
 @dataclass
 class AffinitySchedule:
-    """lambda of Eq. 6, which drops once, to 0.02 of itself, when the loss saturates.
+    """lambda of Eq. 6, which drops once, to 0.02 of its value, when the loss saturates.
 
-    The loss is saturated when its mean over the last ``window`` steps is not below that over the ``window`` steps before them
-    by the relative ``gain``. ``total`` and ``count`` are of the window so far, ``previous`` is the mean of the last full one.
+    The loss is saturated if its mean over the last ``window`` steps is not smaller, by the relative
+    ``gain``, than its mean over the ``window`` steps before. ``total`` and ``count`` belong to the
+    current window, ``previous`` is the mean of the last full window.
     """
 
     initial: float
@@ -143,13 +148,14 @@ class AffinitySchedule:
 
     @classmethod
     def from_json(cls, values: Any, name: str) -> AffinitySchedule:
-        """The schedule with these fields; InputError naming the file ``name`` if they are damaged."""
+        """The schedule with these fields; InputError with the file's ``name`` if they are wrong."""
         fields = asdict(cls(0.0))
         numbers = isinstance(values, dict) and all(
             isinstance(value, (int, float, type(None))) for value in values.values()
         )
         if not numbers or set(values) != set(fields):
             raise InputError(
-                f"{name}: the schedule in the training state is damaged, expected numbers for {', '.join(fields)}"
+                f"{name}: the schedule in the training state is damaged, "
+                f"expected numbers for {', '.join(fields)}"
             )
         return cls(**values)

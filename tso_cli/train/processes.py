@@ -1,6 +1,7 @@
-"""Data-parallel training: each process works on its part of every batch, gradients are averaged.
+"""Data-parallel training: each process works on its part of every batch; gradients are averaged.
 
-`torchrun --nproc-per-node 2 -m tso_cli train ...` starts the processes; they talk through gloo on CPUs, nccl on GPUs.
+`torchrun --nproc-per-node 2 -m tso_cli train ...` starts the processes. They communicate through
+gloo on CPUs and through nccl on GPUs.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ..errors import InputError
 
 @dataclass(frozen=True)
 class Processes:
-    """This process's ``rank`` among ``count``; (0, 1) trains alone."""
+    """The ``rank`` of this process among ``count`` processes; (0, 1) trains alone."""
 
     rank: int = 0
     count: int = 1
@@ -29,16 +30,15 @@ class Processes:
         return self.rank == 0
 
     def average(self, values: Iterable[Tensor]) -> None:
-        """Replace each tensor by its mean over the processes; one message for all of them."""
+        """Replace each tensor by its mean over the processes, in one message."""
         tensors = list(values)
         if self.count == 1 or not tensors:
             return
         joined = torch.cat([tensor.reshape(-1) for tensor in tensors])
         torch.distributed.all_reduce(joined)
         joined /= self.count
-        for tensor, part in zip(
-            tensors, joined.split([tensor.numel() for tensor in tensors]), strict=True
-        ):
+        parts = joined.split([tensor.numel() for tensor in tensors])
+        for tensor, part in zip(tensors, parts, strict=True):
             tensor.copy_(part.view_as(tensor))
 
     def any(self, flag: bool, device: torch.device) -> bool:
@@ -57,9 +57,10 @@ class Processes:
 
 @contextmanager
 def joined(device: str) -> Iterator[tuple[Processes, str]]:
-    """Join the processes that `torchrun` started, until the end of the block; without `torchrun` train alone.
+    """Join the processes that `torchrun` started, until the end of the block.
 
-    Yields the processes and this one's device, on GPUs "cuda:LOCAL_RANK". InputError if there are fewer GPUs than processes.
+    Without `torchrun` this process trains alone. Yields the processes and the device of this
+    process, on GPUs "cuda:LOCAL_RANK". Raises InputError if there are fewer GPUs than processes.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) <= 1:
         yield Processes(), device
@@ -69,7 +70,8 @@ def joined(device: str) -> Iterator[tuple[Processes, str]]:
         local, gpus = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
         if local >= gpus:
             raise InputError(
-                f"process {local} of this machine has no GPU of its own, expected at most {gpus} processes"
+                f"process {local} of this machine has no GPU of its own, "
+                f"expected at most {gpus} processes"
             )
         device = f"cuda:{local}"
         torch.cuda.set_device(local)

@@ -1,4 +1,4 @@
-"""Sources of training data beside data sets on disk: meshes rendered in memory, and the shipped examples."""
+"""Training data that is not a data set on disk: meshes rendered in memory, shipped examples."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..datasets.common import load_pair
-from ..datasets.items import Dataset, Floats, ObjectItem, ViewItem
+from ..datasets.items import Dataset, ObjectItem, ViewItem
 from ..datasets.scale import of_unit_diagonal
+from ..geometry.arrays import Floats
 from ..geometry.points import normalise_longest_side
 from ..io.cameras import read_cameras
 from ..io.clouds import read_cloud
@@ -20,7 +21,8 @@ from ..io.shipped import CATEGORIES, examples_folder
 from ..render import RenderedView, RenderSettings, render_mesh
 from .data import TrainingData
 
-# Pictures of each shipped mesh, and their side in pixels: about the size of the network's input once cropped.
+# Number of pictures of each shipped mesh, and their side in pixels. After the crop they have about
+# the size of the network's input.
 EXAMPLE_VIEWS, EXAMPLE_SIZE = 32, 96
 
 
@@ -32,9 +34,10 @@ def from_meshes(
     progress: Callable[[int, int, str], None] | None = None,
     views: int = EXAMPLE_VIEWS,
 ) -> TrainingData:
-    """Meshes rendered in memory; the pictures of each depend only on its place in the list.
+    """Meshes rendered in memory; the pictures of a mesh depend only on its place in the list.
 
-    A ``crop_share`` of 0 gives them a unit diagonal, as ShapeNet's models have, so that the pictures show sizes.
+    With a ``crop_share`` of 0 the meshes get a unit diagonal, like ShapeNet's models, so that the
+    pictures show sizes.
     """
     settings = RenderSettings(views=views, size=(EXAMPLE_SIZE, EXAMPLE_SIZE))
     objects = []
@@ -50,7 +53,10 @@ def from_meshes(
 
 
 def sized(dataset: Dataset, crop_share: float, background: str = "black") -> TrainingData:
-    """Objects of longest side 1 as training data, scaled to unit diagonal if ``crop_share`` is 0 (pictures show sizes)."""
+    """Objects of longest side 1 as training data.
+
+    They are scaled to unit diagonal if ``crop_share`` is 0, because pictures then show sizes.
+    """
     dataset = dataset if crop_share else of_unit_diagonal(dataset)
     return TrainingData(
         dataset.objects, dataset.description, crop_share, background, scale=dataset.scale
@@ -63,7 +69,7 @@ def rendered_object(
     """A shape whose pictures and points [P, 3] are held in memory."""
 
     def pixels_of(view: RenderedView) -> Callable[[], tuple[NDArray[np.uint8], Floats]]:
-        # Kept in bytes: the float mask takes four times the memory.
+        # Kept in bytes, because a mask of floats takes four times the memory.
         return lambda: (view.image, view.mask.astype(np.float32) / np.float32(255.0))
 
     items = [
@@ -73,20 +79,18 @@ def rendered_object(
 
 
 def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
-    """The pictures and true shapes of the shipped examples, which a network trained on the shipped meshes has not seen."""
+    """The pictures and true shapes of the shipped examples.
+
+    A network that is trained on the shipped meshes has not seen them.
+    """
     objects = []
     for category in CATEGORIES:
         folder = examples_folder() / category
         camera = read_cameras(folder / "camera.json")[0].camera
-        load = partial(
-            load_pair, folder / "image.png", folder / "mask.png", camera, "as its camera"
-        )
-        view = ViewItem(str(folder / "mask.png"), camera, load)
-        objects.append(
-            ObjectItem(
-                category, category, [view], partial(_normalised_cloud, folder / "target.ply")
-            )
-        )
+        image, mask = folder / "image.png", folder / "mask.png"
+        view = ViewItem(str(mask), camera, partial(load_pair, image, mask, camera, "as its camera"))
+        target = partial(_normalised_cloud, folder / "target.ply")
+        objects.append(ObjectItem(category, category, [view], target))
     return sized(Dataset(objects, "shipped examples"), crop_share, background)
 
 

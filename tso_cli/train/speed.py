@@ -1,4 +1,4 @@
-"""Speed of a training step beside that of the bare network."""
+"""Speed of a training step compared with the bare network."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from .processes import Processes
 from .state import TrainingState
 from .step import batch_loss, draw_step, predict
 
+# Rounds of measurements; the result is their median.
 ROUNDS = 5
 
 
@@ -26,10 +27,15 @@ def images_per_second(
     data: TrainingData,
     masked: TrainingData | None = None,
 ) -> dict[str, float]:
-    """Images a second of ``bare`` forward and backward passes and of a ``step``, measured alternately in this process.
+    """Images per second, measured alternately in this process.
 
-    A step draws the batch and has projector and losses; the optimiser is in neither. ``added`` is the relative increase in
-    time, ``waiting`` the fraction of a step in which the network waits for a batch that threads prepare ahead as in `train`.
+    Returns
+    -------
+    "bare" : images per second of forward and backward passes of the network.
+    "step" : images per second of a step, which also draws the batch and has projector and losses.
+    Neither has the optimiser. "added" : relative increase in time from "bare" to "step". "waiting"
+    : share of a step in which the network waits for a batch that threads prepare ahead as in
+    `train`.
     """
     network = state.network
     device = next(network.parameters()).device
@@ -39,9 +45,8 @@ def images_per_second(
 
     def bare_passes(batches: list[Batch]) -> None:
         network.zero_grad(set_to_none=True)
-        torch.stack(
-            [cloud.sum() for cloud in predict(network, batches, config.precision)]
-        ).sum().backward()
+        clouds = predict(network, batches, config.precision)
+        torch.stack([cloud.sum() for cloud in clouds]).sum().backward()
 
     def passes(batches: list[Batch]) -> None:
         network.zero_grad(set_to_none=True)

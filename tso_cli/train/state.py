@@ -27,15 +27,17 @@ from ..network.model import BaseNetwork, NetworkConfig
 from .losses import AffinitySchedule
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
-# Step -> loss, its two terms (forward and backward, or BCE and affinity), lambda.
+# For each step: loss, its two terms (forward and backward, or BCE and affinity), lambda.
 History = list[tuple[float, float, float, float]]
+# After this many steps the running mean of the weights has a decay of a half.
+STEPS_TO_FORGET = 9.0
 
 
 @dataclass(eq=False)
 class TrainingState:
-    """Everything that the next step depends on, besides the data.
+    """Everything that the next step depends on, except the data.
 
-    fingerprint : of the data it was trained on.
+    fingerprint : digest of the data of the training.
     average : running mean of each parameter, in the order of the network; empty without averaging.
     """
 
@@ -52,19 +54,23 @@ class TrainingState:
         return len(self.history)
 
     def update_average(self, decay: float) -> None:
-        """Update the running mean of the weights after a step: mean = decay * mean + (1 - decay) * weights; 0 keeps none."""
+        """Update the running mean of the weights after a step; with a decay of 0 there is none.
+
+        The new mean is decay * mean + (1 - decay) * weights.
+        """
         if decay == 0.0:
             return
         with torch.no_grad():
             weights = [parameter.detach() for parameter in self.network.parameters()]
             if not self.average:
                 self.average = [weight.clone() for weight in weights]
-            # A smaller decay in the first steps forgets the random initial weights.
-            decay = min(decay, self.step / (self.step + 9.0))
+            # The decay is smaller in the first steps, so that the random initial weights are
+            # forgotten.
+            decay = min(decay, self.step / (self.step + STEPS_TO_FORGET))
             torch._foreach_lerp_(self.average, weights, 1.0 - decay)
 
     def averaged(self) -> BaseNetwork:
-        """The network to be saved: a copy with the mean weights, or without averaging the network itself."""
+        """The network to be saved: a copy with the mean weights, or the network without a mean."""
         if not self.average:
             return self.network
         network = copy.deepcopy(self.network)
@@ -75,14 +81,17 @@ class TrainingState:
 
 
 def state_path(checkpoint: Path) -> Path:
-    """File of the state beside ``checkpoint``: base.safetensors -> base.training.safetensors."""
+    """File of the state of ``checkpoint``: base.safetensors -> base.training.safetensors."""
     return checkpoint.with_name(f"{checkpoint.stem}.training.safetensors")
 
 
 def save_training(
     checkpoint: Path, state: TrainingState, config: NetworkConfig, overwrite: bool = True
 ) -> None:
-    """Write the network to ``checkpoint``, and network and state beside it; each file is replaced whole."""
+    """Write the network to ``checkpoint``, and network and state to `state_path`.
+
+    Each file is replaced whole.
+    """
     tensors = dict(state.network.state_dict())
     for name, parameter in state.network.named_parameters():
         for moment in MOMENTS:
@@ -90,9 +99,8 @@ def save_training(
             tensors[f"{STATE_PREFIX}{moment}.{name}"] = value
     for (name, _), mean in zip(state.network.named_parameters(), state.average, strict=False):
         tensors[f"{STATE_PREFIX}average.{name}"] = mean
-    tensors[f"{STATE_PREFIX}history"] = torch.tensor(state.history, dtype=torch.float64).reshape(
-        -1, 4
-    )
+    history = torch.tensor(state.history, dtype=torch.float64)
+    tensors[f"{STATE_PREFIX}history"] = history.reshape(-1, 4)
     values = {
         "step": state.step,
         "schedule": dataclasses.asdict(state.schedule),
@@ -105,9 +113,10 @@ def save_training(
 def load_training(
     checkpoint: Path, config: NetworkConfig, fingerprint: str, device: torch.device
 ) -> TrainingState:
-    """Read the state beside ``checkpoint``; training continues from it bit for bit.
+    """Read the state of ``checkpoint``; training continues from it bit for bit.
 
-    Raises InputError if there is no state, it is damaged, or it is from a training with other settings or other data.
+    Raises InputError if there is no state, if it is damaged, or if it comes from a training with
+    other settings or other data.
     """
     path = state_path(checkpoint)
     if not path.exists():
@@ -124,7 +133,8 @@ def load_training(
         )
     if values.get("fingerprint") != fingerprint:
         raise InputError(
-            f"{path}: was trained on other data ({stored.training_set}), expected the same data to resume"
+            f"{path}: was trained on other data ({stored.training_set}), "
+            "expected the same data to resume"
         )
     schedule = AffinitySchedule.from_json(values.get("schedule"), str(path))
     shapes: dict[str, tuple[int, ...]] = {"history": (step, 4)}
@@ -136,7 +146,8 @@ def load_training(
     state.history.extend(tuple(row) for row in tensors.pop("history").double().tolist())
     if step:
         for name, parameter in state.network.named_parameters():
-            # Same memory layout as the parameter: the sums of a convolution depend on it in the last bit.
+            # The memory layout must be the parameter's: the last bit of a convolution depends on
+            # it.
             values = {
                 kind: torch.empty_like(parameter.detach()).copy_(tensors[f"{kind}.{name}"])
                 for kind in kinds
@@ -148,7 +159,10 @@ def load_training(
 
 
 def stored_window(checkpoint: Path) -> int | None:
-    """``saturation_steps`` of the training beside ``checkpoint``, which a resumed run keeps; None if there is none."""
+    """``saturation_steps`` of the training of ``checkpoint``, which a resumed run keeps.
+
+    None if there is no such training.
+    """
     path = state_path(checkpoint)
     window = read_metadata(path)[0].settings.get("saturation_steps") if path.exists() else None
     return window if isinstance(window, int) else None
@@ -162,38 +176,36 @@ def new_state(
     device: torch.device,
 ) -> TrainingState:
     """A training at step 0."""
-    # Channels last makes convolutions a third faster on the CPU.
+    # The memory layout "channels last" makes convolutions a third faster on the CPU.
     network = network.to(device).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate, fused=True)
     return TrainingState(network, optimiser, schedule, [], fingerprint)
 
 
 def _require_same(path: Path, stored: NetworkConfig, current: NetworkConfig) -> None:
-    """InputError if settings differ that shape the result; the number of steps and the version may."""
+    """InputError if settings differ; only the number of steps, version and training set may."""
 
     def flat(config: NetworkConfig) -> dict[str, Any]:
         values = dataclasses.asdict(config)
         values |= values.pop("settings")
-        return {
-            name: value
-            for name, value in values.items()
-            if name not in ("steps", "version", "training_set")
-        }
+        for name in ("steps", "version", "training_set"):
+            del values[name]
+        return values
 
     before, after = flat(stored), flat(current)
-    # Supervision first: other settings depend on it.
+    # Supervision comes first, because other settings depend on it.
     for name in sorted(before | after, key=lambda name: (name != "supervision", name)):
         if before.get(name) != after.get(name):
             raise InputError(
-                f"{path}: was trained with {name} {shown(before.get(name))}, this run asks for {shown(after.get(name))}; "
-                "expected the same settings to resume"
+                f"{path}: was trained with {name} {shown(before.get(name))}, "
+                f"this run asks for {shown(after.get(name))}; expected the same settings to resume"
             )
 
 
 def write_history(
     path: Path, history: History, config: NetworkConfig, overwrite: bool = True
 ) -> None:
-    """Write the settings, then the losses of every step, one JSON object a line."""
+    """Write the settings, then the losses of every step, one JSON object on each line."""
     terms = {
         "points": ("forward", "backward"),
         "masks": ("bce", "affinity", "lambda"),

@@ -15,7 +15,7 @@ from .data import TrainingData
 from .losses import mask_loss_by_category, point_loss
 from .processes import Processes
 
-# From clouds [B, N, 3], their batch and lambda: the loss, and two parts of it for the history.
+# From clouds [B, N, 3], their batch and lambda to the loss and two parts of it for the history.
 Objective = Callable[[Tensor, Batch, float], tuple[Tensor, float, float]]
 
 
@@ -27,9 +27,9 @@ def draw_step(
     step: int,
     targets: bool = False,
 ) -> list[Batch]:
-    """This process's part of a step: one batch, or with "joint" one with points and one with masks.
+    """This process's part of a step: one batch, or with "joint" one of points and one of masks.
 
-    With ``targets`` batches for supervision with masks hold the points too.
+    With ``targets`` a batch for supervision with masks holds the points too.
     """
     part = (processes.rank, processes.count)
     size = config.batch_size // (2 if masked else 1)
@@ -37,14 +37,12 @@ def draw_step(
         config.seed, size, config.frame, balance=config.balance, augment=config.augment
     )
     if config.supervision == "masks":
-        return [draw_batch(data, replace(drawing, views=config.views, targets=targets), step, part)]
+        drawing = replace(drawing, views=config.views, targets=targets)
+        return [draw_batch(data, drawing, step, part)]
     batches = [draw_batch(data, drawing, step, part)]
     if masked:
-        batches.append(
-            draw_batch(
-                masked, replace(drawing, views=1, input_supervises=True, targets=False), step, part
-            )
-        )
+        drawing = replace(drawing, views=1, input_supervises=True, targets=False)
+        batches.append(draw_batch(masked, drawing, step, part))
     return batches
 
 

@@ -1,13 +1,12 @@
-"""The kernels of the paper's preset beside other ways in torch and scipy, value and gradient."""
+"""The two losses of the paper's preset and other ways to compute them, value and gradient."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -18,31 +17,30 @@ from ...losses.chamfer import ChamferToStart
 from ...losses.projection import project
 from ...losses.silhouette import silhouette_bce
 from ...optimisation.loop import Array, Term
-from ...optimisation.presets import PAPER_SIGMA_SQ
+from ...optimisation.presets import SIGMA_SQ
 from ...refinement import RefineConfig, refine
 from ..study import Cases
 from .refining import chair_views, cloud
-from .timing import FORMS, Contestant, Setting, record, timed
+from .timing import FORMS, Contestant, Setting, timed
 
-# Points and pixels each way; points.
-PICTURES, CLOUDS = ((256, 32), (1024, 64), (4096, 128), (16384, 256)), (1024, 4096, 16384)
-# Numbers of the paper's steps after which Chamfer is measured: points that have hardly moved need no search.
+# (points, pixels each way) of the silhouette, and points of the Chamfer distance.
+PICTURES, CLOUDS = ((1024, 64), (16384, 256)), (1024, 16384)
 STEPS = (10, 30, 50)
-# torch.cdist holds all pairs at once.
-CDIST_UP_TO = 4096
+"""Chamfer is measured after these of the paper's steps: hardly moved points need no search."""
+CLAMP = 1e-6
+"""Of silhouettes in torch's cross-entropy."""
 
 
 def measure_silhouette(setting: Setting, sizes: Sequence[tuple[int, int]] = PICTURES) -> Cases:
-    """Seconds of the loss of points and a mask at every size, on one thread; tso's compiled loops are first."""
+    """Seconds of the loss of points and a mask at every size, on one thread."""
     records = []
     for count, side in sizes:
         points_px, mask = scene(count, side, setting.seed)
-        ours = partial(
-            silhouette_bce, points_px, np.ones(count, bool), mask, 1.0 - mask, PAPER_SIGMA_SQ
-        )
-        scatter = differentiated(partial(scattered_loss, mask=tensor(mask)))
+        valid = np.ones(count, bool)
+        ours = partial(silhouette_bce, points_px, valid, mask, 1.0 - mask, SIGMA_SQ)
         samples = {f"tso, {form}": timed(ours, form) for form in FORMS}
-        samples["scatter 9x9, torch"] = timed(partial(scatter, points_px))
+        target = torch.as_tensor(mask, dtype=torch.float32)
+        samples["scatter 9x9, torch"] = timed(partial(scattered_loss, points_px, target))
         fields = {"points": count, "side": side}
         contestants = [Contestant(name, sample, fields) for name, sample in samples.items()]
         records += setting.race("silhouette", contestants, "over_tso")
@@ -50,54 +48,48 @@ def measure_silhouette(setting: Setting, sizes: Sequence[tuple[int, int]] = PICT
 
 
 def scene(count: int, side: int, seed: int = 0) -> tuple[Array, Array]:
-    """``count`` initial points [N, 2] in the picture of the chair at ``side`` x ``side``, and its mask."""
+    """Initial points [count, 2] in the picture of the chair, ``side`` x ``side``, and its mask."""
     (view,) = chair_views()
     box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
     mask = area_resize(view.mask, box, side, side)[0].clip(0.0, 1.0)
     return project(cloud(count, seed), view.camera.resized(side, side)).points_px, mask
 
 
-def scattered_loss(points_px: Tensor, mask: Tensor) -> Tensor:
-    """The loss in plain torch: all taps by broadcasting, `index_add`, tanh and torch's cross-entropy.
+def scattered_loss(points: Array, mask: Tensor) -> tuple[float, Array]:
+    """Value and gradient of the loss in plain torch: all taps, `index_add`, tanh, cross-entropy.
 
-    It lacks the term for mask pixels that no window reaches, so it has less to do than tso's kernels.
+    It has less to do than tso: it lacks the term for mask pixels that no window reaches.
     """
-    radius, side = window_radius(PAPER_SIGMA_SQ), mask.shape[-1]
+    points_px = torch.as_tensor(points, dtype=torch.float32).requires_grad_()
+    radius, side = window_radius(SIGMA_SQ), mask.shape[-1]
     steps = torch.arange(-radius, radius + 1)
     centre = points_px.detach().round().long()
     column, row = (centre[:, axis : axis + 1] + steps for axis in (0, 1))  # [N, k]
     weights_x, weights_y = (
-        torch.exp((points_px[:, axis : axis + 1] - index).square() * (-0.5 / PAPER_SIGMA_SQ))
+        torch.exp((points_px[:, axis : axis + 1] - index).square() * (-0.5 / SIGMA_SQ))
         * ((index >= 0) & (index < side))
         for axis, index in ((0, column), (1, row))
     )
     taps = weights_y.unsqueeze(2) * weights_x.unsqueeze(1)  # [N, k, k]
     flat = row.clamp(0, side - 1).unsqueeze(2) * side + column.clamp(0, side - 1).unsqueeze(1)
     sums = taps.new_zeros(side * side).index_add(0, flat.flatten(), taps.flatten())
-    silhouette = torch.tanh(sums).clamp(1e-6, 1.0 - 1e-6).view_as(mask)
-    return torch.nn.functional.binary_cross_entropy(silhouette, mask, reduction="sum")
+    silhouette = torch.tanh(sums).clamp(CLAMP, 1.0 - CLAMP).view_as(mask)
+    loss = torch.nn.functional.binary_cross_entropy(silhouette, mask, reduction="sum")
+    return loss.item(), torch.autograd.grad(loss, points_px)[0].numpy()
 
 
 def measure_chamfer(setting: Setting, sizes: Sequence[int] = CLOUDS) -> Cases:
-    """Seconds a step of every contestant at every size, on one thread unless its name says otherwise."""
+    """Seconds a step of every contestant, on one thread unless its name says otherwise."""
     records = []
     for count in sizes:
-        initial, configs = (
-            cloud(count, setting.seed),
-            [RefineConfig(preset="paper", steps=steps) for steps in STEPS],
-        )
+        initial = cloud(count, setting.seed)
+        configs = [RefineConfig(preset="paper", steps=steps) for steps in STEPS]
         moved = [refine(initial, chair_views(), config=config).points for config in configs]
-        contestants, left_out = [], []
-        for name, term in terms(initial).items():
-            if isinstance(term, str):
-                left_out.append(record("chamfer", name, points=count, left_out=term))
-            else:
-                contestants.append(
-                    Contestant(
-                        name, timed(partial(_along, term, moved)), {"points": count}, len(moved)
-                    )
-                )
-        records += [*setting.race("chamfer", contestants, "over_tso"), *left_out]
+        contestants = [
+            Contestant(name, timed(partial(_along, term, moved)), {"points": count}, len(moved))
+            for name, term in terms(initial).items()
+        ]
+        records += setting.race("chamfer", contestants, "over_tso")
     return records
 
 
@@ -106,57 +98,23 @@ def _along(term: Term, iterates: Sequence[Array]) -> None:
         term(points)
 
 
-def terms(initial: Array) -> dict[str, Term | str]:
-    """Contestant -> its Chamfer distance to ``initial`` [N, 3], or why it is left out; tso's compiled loops are first."""
-    count, start = len(initial), tensor(initial)
-    result: dict[str, Term | str] = {}
+def terms(initial: Array) -> dict[str, Term]:
+    """Contestant -> its Chamfer distance to ``initial`` [N, 3]; tso's compiled loops are first."""
+    result: dict[str, Term] = {}
     for form, work in FORMS.items():
         with planned(work, work):
             result[f"tso, {form}"] = ChamferToStart(initial)
-    result["two k-d trees a step, 1 worker"] = partial(_k_d_trees, initial, None, 1)
-    result["two k-d trees a step, all workers"] = partial(_k_d_trees, initial, None, -1)
-    result["one k-d tree kept, all queried"] = partial(_k_d_trees, initial, cKDTree(initial), 1)
-    result["cdist, torch"] = f"{float(count) ** 2:.1e} pairs held at once"
-    if count <= CDIST_UP_TO:
-        result["cdist, torch"] = differentiated(lambda moved: _cdist(start, moved))
+    for workers, name in ((1, "1 worker"), (-1, "all workers")):
+        result[f"two k-d trees a step, {name}"] = partial(_k_d_trees, initial, workers)
     return result
 
 
-def _k_d_trees(
-    initial: Array, kept: cKDTree | None, workers: int, moved: Array
-) -> tuple[float, Array]:
-    """Nearest neighbours of all points, both ways; ``kept`` is the tree of the initial points, else built at each call."""
-    to_initial = (kept or cKDTree(initial)).query(moved, workers=workers)[1]
-    return paired(initial, moved, to_initial, cKDTree(moved).query(initial, workers=workers)[1])
-
-
-def _cdist(start: Tensor, moved: Tensor) -> Tensor:
-    squared = torch.cdist(start, moved).square()
-    return squared.amin(0).mean() + squared.amin(1).mean()
-
-
-def tensor(values: Array) -> Tensor:
-    return torch.as_tensor(values, dtype=torch.float32)
-
-
-def differentiated(loss: Callable[[Tensor], Tensor]) -> Term:
-    """Value and gradient of a loss in torch, at points [N, D]."""
-
-    def term(points: Array) -> tuple[float, Array]:
-        leaf = tensor(points).requires_grad_()
-        value = loss(leaf).sum()
-        return value.item(), torch.autograd.grad(value, leaf)[0].numpy()
-
-    return term
-
-
-def paired(
-    initial: Array, moved: Array, to_initial: NDArray[np.int64], to_moved: NDArray[np.int64]
-) -> tuple[float, Array]:
-    """The Chamfer distance and its gradient, by each moved point's nearest initial point, [N], and the reverse."""
-    ahead, back = moved - initial[to_initial], moved[to_moved] - initial
+def _k_d_trees(initial: Array, workers: int, moved: Array) -> tuple[float, Array]:
+    """Value and gradient by nearest neighbours of all points, both ways."""
+    ahead = moved - initial[cKDTree(initial).query(moved, workers=workers)[1]]
+    nearest = cKDTree(moved).query(initial, workers=workers)[1]
+    back = moved[nearest] - initial
     gradient = ahead.copy()
-    np.add.at(gradient, to_moved, back)
-    return float(np.square(ahead).sum() + np.square(back).sum()) / len(moved), (
-        2.0 / len(moved)
-    ) * gradient
+    np.add.at(gradient, nearest, back)
+    value = float(np.square(ahead).sum() + np.square(back).sum()) / len(moved)
+    return value, (2.0 / len(moved)) * gradient

@@ -1,34 +1,37 @@
-"""Refinements: whole commands, single objects, their phases and memory, and batches."""
+"""Refinements: whole commands, large files, single objects, their phases and memory, batches.
+
+Imports no torch, whose memory is no part of a refinement's.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import product
 from multiprocessing import get_context
-from typing import Any
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
+import trimesh
 from threadpoolctl import threadpool_limits
 
-from ...cloud import smooth_field
-from ...diagnosis.agreement import Agreement
 from ...errors import TsoError
 from ...geometry.points import Array, normalise_longest_side, sample_surface, spread_subset
+from ...geometry.resampling import area_resize
 from ...geometry.view import View
+from ...io.cameras import CameraRecord, write_cameras
+from ...io.images import write_image
 from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
-from ...optimisation import symmetry
-from ...optimisation.objective import MaskChamferObjective
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
-from ...refinement.run import Stopwatch
 from ...scene.load import load_points_scene
 from ..study import Cases, Record
 from ..views import views_around
@@ -50,133 +53,188 @@ from .timing import (
 CHAIR = examples_folder() / "chair"
 # The example starts from points of this shape.
 START = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
-# Clouds of up to so many points are spread evenly, like those of data sets: else no mirror plane would be found.
+# Clouds of up to SPREAD points are spread evenly, as in data sets: they then have a mirror plane.
 SPREAD, SAMPLES = 1024, 8192
 DEGREES_BETWEEN_VIEWS = 50.0
 SIZES = (1024, 16384)
-# Numbers of views of the default preset, at the smallest size.
 MORE_VIEWS = (2, 4)
-# Points of the largest cloud, which the default alone refines.
+"""Numbers of views of the default preset, at the smallest size."""
 LARGE, CORES = 262_144, os.cpu_count() or 1
-# Calls after the first that are taken apart in phases.
+"""Points of the largest cloud, which the default alone refines."""
 RUNS = 3
-# What is timed within the phases; none of these calls another.
-PIECES: dict[str, tuple[Any, str]] = {
-    "agreement": (Agreement, "of"),
-    "mirror plane": (symmetry, "find_mirror_plane"),
-    "fields": (smooth_field.SmoothField, "__init__"),
-    "factors": (smooth_field._Smoother, "__init__"),
-    "solves": (smooth_field._Smoother, "__call__"),
-    "mask loss": (MaskChamferObjective, "_of_masks"),
-}
-# (preset, points, views) -> numbers of clouds in a batch; those of `NEIGHBOURED` also run beside a busy neighbour.
+"""Calls after the first whose phases are measured."""
+# (preset, points, views) -> numbers of clouds in a batch.
 BATCHES = {
     ("best", 1024, 1): (16, 64, 512),
     ("paper", 1024, 1): (16, 64),
     ("best", 16384, 1): (16,),
     **{("best", 1024, views): (16,) for views in MORE_VIEWS},
 }
-# So many clouds of a batch differ.
-NEIGHBOURED, CLOUDS = 64, 16
-# Ends with its parent, whatever becomes of that.
+WITH_NEIGHBOUR, DIFFERENT = 64, 16
+"""The batch that is also timed with a busy neighbour; the clouds of a batch that differ."""
+# Ends with its parent, whatever becomes of the parent.
 SPIN = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
 TSO = ("-m", "tso_cli")
+REFINE = (*TSO, "refine", "--mode", "points")
+# Large files: pixels of the photo, in which the object fills a part; points, splats, faces.
+WIDTH, HEIGHT = 4000, 3000
+SCAN, SPLATS, FACES = 2_000_000, 100_000, 500_000
+# Of a splat in the reference implementation of Gaussian splatting, without higher colours.
+PROPERTIES = [
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    "f_dc_0",
+    "f_dc_1",
+    "f_dc_2",
+    "opacity",
+    "scale_0",
+    "scale_1",
+    "scale_2",
+]
+PROPERTIES += [f"rot_{number}" for number in range(4)]
+# The command, then the peak of its process's memory.
+WATCHED = """from tso_cli.__main__ import main
+try:
+    main()
+finally:
+    import json
+    from tso_cli.lab.bench.timing import peak_memory
+    open({!r}, "w").write(json.dumps(peak_memory()))
+"""
 
 
 def cloud(count: int, seed: int = 0) -> Array:
     """Initial points [count, 3], longest side 1."""
-    mesh = read_mesh(START)
-    samples = sample_surface(
-        mesh.vertices, mesh.faces, max(count, SAMPLES), np.random.default_rng([seed, count])
-    )
-    return normalise_longest_side(
-        samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count]
-    )
+    mesh, rng = read_mesh(START), np.random.default_rng([seed, count])
+    samples = sample_surface(mesh.vertices, mesh.faces, max(count, SAMPLES), rng)
+    chosen = samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count]
+    return normalise_longest_side(chosen)
 
 
 def chair_views(count: int = 1) -> list[View]:
-    """The mask of the shipped chair, and silhouettes of its cloud turned about the vertical axis."""
+    """The mask of the shipped chair, and silhouettes of its cloud turned about the vertical."""
     scene = load_points_scene(CHAIR / "target.ply", CHAIR / "mask.png")
-    return views_around(
-        scene.view, scene.points, np.radians(DEGREES_BETWEEN_VIEWS * np.arange(1, count))
-    )
+    angles = np.radians(DEGREES_BETWEEN_VIEWS * np.arange(1, count))
+    return views_around(scene.view, scene.points, angles)
 
 
 def measure_command(setting: Setting) -> Cases:
-    """Processes of bare Python, of `import torch` and of `tso` commands; a first run finds no byte code and no compiled loops.
+    """Processes of bare Python, of `import torch` and of `tso` commands.
 
-    Raises TsoError if a command fails, InputError if the shipped examples are missing.
+    A first run finds no byte code and no compiled loops. Raises TsoError if a command fails,
+    InputError if the shipped examples are missing.
     """
     plain = {
         "python": ("-c", "pass"),
         "tso --version": (*TSO, "--version"),
         "tso --help": (*TSO, "--help"),
     }
-    contestants = [
-        IMPORT_TORCH,
-        *(Contestant(name, process(name, arguments)) for name, arguments in plain.items()),
-    ]
+    contestants = [Contestant(name, process(name, words)) for name, words in plain.items()]
+    calls = {"steady": (as_installed, ""), "first": (never_run, ", first run")}
     with tempfile.TemporaryDirectory() as folder:
         for points in SIZES:
             path = f"{folder}/{points}.npy"
             np.save(path, cloud(points, setting.seed))
-            arguments = (*TSO, "refine", "--mode", "points", path, str(CHAIR / "mask.png"))
-            for call, environment in (("steady", as_installed), ("first", never_run)):
-                name = f"tso refine --mode points, {points:,} points" + (
-                    ", first run" if call == "first" else ""
-                )
-                contestants.append(
-                    Contestant(
-                        name,
-                        process(name, arguments, environment),
-                        {"points": points, "call": call},
-                    )
-                )
-        return setting.race("command", contestants, "over_import_torch")
+            words = (*REFINE, path, str(CHAIR / "mask.png"))
+            for call, (environment, note) in calls.items():
+                name = f"tso refine --mode points, {points:,} points{note}"
+                fields = {"points": points, "call": call}
+                contestants.append(Contestant(name, process(name, words, environment), fields))
+        return setting.race("command", [IMPORT_TORCH, *contestants], "over_import_torch")
+
+
+def measure_large(
+    setting: Setting, scan: int = SCAN, splats: int = SPLATS, faces: int = FACES
+) -> Cases:
+    """Whole processes of `tso refine`, and the memory that they take; TsoError if one fails."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _write_photo(folder)
+        np.save(folder / "scan.npy", cloud(scan, setting.seed).astype(np.float32))
+        (folder / "splats.ply").write_bytes(splat_file(splats, setting.seed))
+        mesh = finer_mesh(faces)
+        mesh.export(folder / "mesh.ply")
+        scenes = {
+            "scan": ("scan.npy", folder / "mask.png", scan),
+            "splats": ("splats.ply", CHAIR / "mask.png", splats),
+            "mesh": ("mesh.ply", CHAIR / "mask.png", len(mesh.faces)),
+        }
+        contestants = []
+        for scene, (start, mask, points) in scenes.items():
+            files = (str(folder / start), str(mask))
+            watched = WATCHED.format(str(folder / "peak"))
+            process(scene, ("-c", watched, *REFINE[2:], *files))()
+            fields = {"points": points, "peak_MiB": json.loads((folder / "peak").read_text())}
+            contestants.append(Contestant(scene, process(scene, (*REFINE, *files)), fields))
+        return setting.race("large", [IMPORT_TORCH, *contestants], "over_import_torch")
+
+
+def _write_photo(folder: Path) -> None:
+    """The view of the shipped chair in a photo of this size."""
+    (view,) = chair_views()
+    side = view.camera.height
+    more = (side * WIDTH / HEIGHT - side) / 2.0
+    box = (-0.5 - more, -0.5, side - 0.5 + more, side - 0.5)
+    mask, _ = area_resize(view.mask, box, WIDTH, HEIGHT)
+    write_image(folder / "mask.png", np.uint8(255.0 * (mask > 0.5)))
+    camera = CameraRecord(view.camera.cropped(box, WIDTH, HEIGHT))
+    write_cameras(folder / "mask.camera.json", [camera])
+
+
+def splat_file(count: int, seed: int) -> bytes:
+    """A PLY file of Gaussian splats."""
+    values = np.random.default_rng(seed).normal(size=(count, len(PROPERTIES))).astype("<f4")
+    values[:, :3] = cloud(count, seed)
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    lines += [f"property float {name}" for name in PROPERTIES]
+    return "\n".join([*lines, "end_header", ""]).encode() + values.tobytes()
+
+
+def finer_mesh(faces: int) -> trimesh.Trimesh:
+    """The shape that clouds are sampled from, its faces divided until there are enough."""
+    start = read_mesh(START)
+    mesh = trimesh.Trimesh(start.vertices, start.faces, process=False)
+    while len(mesh.faces) < faces:
+        mesh = mesh.subdivide()
+    return mesh
 
 
 def measure_object(
-    setting: Setting, sizes: tuple[int, ...] = SIZES, large: int = LARGE, steps: int | None = None
+    setting: Setting, sizes: Sequence[int] = SIZES, large: int = LARGE, steps: int | None = None
 ) -> Cases:
-    """Both forms of the loops, of both presets and with more views; the form that the default chooses, on one core and on all.
+    """`refine` in both forms of the loops: both presets, more views, a large cloud.
 
-    A form "" is the one chosen.
+    And in the form that the default chooses, "", on one core and on all.
     """
-    cases = [
-        (preset, points, 1, form, 1, False)
-        for points in sizes
-        for preset in PRESETS
-        for form in FORMS
-    ]
-    more = [(large, 1), *((sizes[0], views) for views in MORE_VIEWS)]
-    cases += [
-        ("best", points, views, form, 1, False) for (points, views), form in product(more, FORMS)
-    ]
+    places = [(preset, points, 1) for points in sizes for preset in PRESETS]
+    places += [("best", large, 1), *(("best", sizes[0], views) for views in MORE_VIEWS)]
+    ways = [(*place, form, 1, False) for place in places for form in FORMS]
     on_threads = product((*sizes, large), sorted({1, CORES}), (False, True))
-    cases += [("best", points, 1, "", threads, busy) for points, threads, busy in on_threads]
+    ways += [("best", points, 1, "", threads, busy) for points, threads, busy in on_threads]
     contestants = [IMPORT_TORCH]
-    for preset, points, views, form, threads, busy in cases:
+    for preset, points, views, form, threads, busy in ways:
         config = RefineConfig(preset=preset, steps=steps)
         work = partial(refine, cloud(points, setting.seed), chair_views(views), config=config)
-        fields = {
-            "points": points,
-            "preset": preset,
-            "views": views,
-            "form": form,
-            "threads": threads,
-            "busy": busy,
-        }
-        way = form or f"{threads} thread" + "s" * (threads > 1) + ", busy neighbour" * busy
-        contestants.append(
-            Contestant(f"{preset}, {way}", on_cores(timed(work, form), threads, busy), fields)
-        )
+        fields = {"points": points, "preset": preset, "views": views, "form": form}
+        fields |= {"threads": threads, "busy": busy}
+        plural, neighbour = "s" if threads > 1 else "", ", busy neighbour" if busy else ""
+        name = f"{preset}, {form or f'{threads} thread{plural}{neighbour}'}"
+        sample = on_cores(timed(work, form), threads, busy)
+        contestants.append(Contestant(name, sample, fields))
     return setting.race("object", contestants, "over_import_torch")
 
 
 def measure_phases(
-    setting: Setting, sizes: tuple[int, ...] = (*SIZES, LARGE), views: tuple[int, ...] = MORE_VIEWS
+    setting: Setting, sizes: Sequence[int] = (*SIZES, LARGE), views: Sequence[int] = MORE_VIEWS
 ) -> Cases:
-    """The default at every size, and at the smallest with more views and as in a batch; each in a process of its own."""
+    """The phases of the default at every size, with more views, and compiled as in a batch.
+
+    Each in a process of its own.
+    """
     scenes = [
         *((points, 1, "") for points in sizes),
         *((sizes[0], count, "") for count in views),
@@ -185,40 +243,20 @@ def measure_phases(
     records = []
     for number, scene in enumerate(scenes, 1):
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            records.append(pool.submit(_taken_apart, *scene, setting.seed).result())
+            records.append(pool.submit(_phases, *scene, setting.seed).result())
         setting.report("phases", number, len(scenes))
     return records
 
 
-def _taken_apart(points: int, views: int, form: str, seed: int) -> Record:
-    work = partial(refine, cloud(points, seed), chair_views(views), config=RefineConfig())
+def _phases(points: int, views: int, form: str, seed: int) -> Record:
     with in_form(form):
-        first, *later = (work().seconds for _ in range(1 + RUNS))
-        peak = peak_memory()
-        # Timed in one more call, so that these clocks slow no other.
-        stopwatch = Stopwatch()
-        with ExitStack() as patches:
-            for name, (owner, function) in PIECES.items():
-                clocked = stopwatch.phase(name)(getattr(owner, function))
-                patches.enter_context(patch.object(owner, function, clocked))
-            whole = sum(work().seconds.values())
-    of_these = stopwatch.seconds | {"rest": whole - sum(stopwatch.seconds.values())}
+        scene, config = (cloud(points, seed), chair_views(views)), RefineConfig()
+        first, *later = (refine(*scene, config=config).cost.seconds for _ in range(1 + RUNS))
     phases = {name: float(np.median([seconds[name] for seconds in later])) for name in later[0]}
-    low, median, high = np.percentile(
-        [sum(seconds.values()) for seconds in later], [25, 50, 75]
-    ).tolist()
-    fields = {
-        "points": points,
-        "views": views,
-        "form": form,
-        "phases": phases,
-        "of_these": of_these,
-    }
-    fields |= {"first": sum(first.values()), "peak_MiB": peak}
-    return (
-        record("phases", "best", seconds={"median": median, "low": low, "high": high}, runs=RUNS)
-        | fields
-    )
+    taken = [sum(seconds.values()) for seconds in later]
+    fields = {"points": points, "views": views, "form": form, "phases": phases}
+    fields |= {"first": sum(first.values()), "peak_MiB": peak_memory()}
+    return record("phases", "best", taken, **fields)
 
 
 def measure_batch(
@@ -230,22 +268,18 @@ def measure_batch(
     contestants = [IMPORT_TORCH]
     for (preset, points, views), sizes in batches.items():
         config, seen = RefineConfig(preset=preset, steps=steps), chair_views(views)
-        scenes = [(cloud(points, setting.seed + number), seen) for number in range(CLOUDS)]
+        scenes = [(cloud(points, setting.seed + number), seen) for number in range(DIFFERENT)]
         scene = {"preset": preset, "points": points, "views": views}
+        fields = scene | {"batch": 1, "processes": 1, "busy": False}
         alone = on_cores(timed(partial(refine, *scenes[0], config=config)), 1)
-        contestants.append(
-            Contestant("refine", alone, scene | {"batch": 1, "processes": 1, "busy": False})
-        )
+        contestants.append(Contestant("refine", alone, fields))
         for size, count, busy in product(sizes, sorted({1, CORES}), (False, True)):
-            if busy and size != NEIGHBOURED:
-                continue
-            work = partial(_refine_all, [scenes[number % CLOUDS] for number in range(size)], config)
-            fields = scene | {"batch": size, "processes": count, "busy": busy}
-            name = f"refine_batch of {size}" + ", busy neighbour" * busy
-            sample = on_cores(timed(work), count, busy)
-            contestants.append(
-                Contestant(name, sample, fields, calls=size, warm_up=size <= NEIGHBOURED)
-            )
+            if not busy or size == WITH_NEIGHBOUR:
+                several = [scenes[number % DIFFERENT] for number in range(size)]
+                sample = on_cores(timed(partial(_refine_all, several, config)), count, busy)
+                fields = scene | {"batch": size, "processes": count, "busy": busy}
+                name = f"refine_batch of {size}" + (", busy neighbour" if busy else "")
+                contestants.append(Contestant(name, sample, fields, size, size <= WITH_NEIGHBOUR))
     records = setting.race("batch", contestants, "over_import_torch")
     of_one = records[0]
     for row in records[1:]:
@@ -261,15 +295,11 @@ def _refine_all(scenes: list, config: RefineConfig) -> None:
 
 
 def on_cores(work: Sample, count: int, busy: bool = False) -> Sample:
-    """The work in so many processes or threads; with ``busy`` while a process spins on every core."""
+    """The work in ``count`` processes or threads; with ``busy`` all cores have other work too."""
 
     def sample() -> float:
-        neighbour = busy_neighbour() if busy else nullcontext()
-        with (
-            patch.dict(os.environ, OMP_NUM_THREADS=str(count)),
-            threadpool_limits(count),
-            neighbour,
-        ):
+        threads = patch.dict(os.environ, OMP_NUM_THREADS=str(count))
+        with threads, threadpool_limits(count), busy_neighbour() if busy else nullcontext():
             return work()
 
     return sample

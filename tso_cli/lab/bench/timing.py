@@ -1,4 +1,4 @@
-"""Wall-clock times of contestants that take turns, so that a busy machine slows all of them alike."""
+"""Wall-clock times of contestants that take turns: a busy machine slows all of them alike."""
 
 from __future__ import annotations
 
@@ -24,20 +24,21 @@ Sample = Callable[[], float]
 """Does the work once, and returns the seconds that it took."""
 
 PACKAGE = Path(__file__).resolve().parents[2]
-# Quick work is repeated for so many seconds at a time: with cold caches each turn would measure these.
 BLOCK = 2e-3
+"""Seconds for which quick work is repeated; single calls would measure cold caches."""
 MOST_RUNS, LEAST_RUNS = 200, 3
-# Work that takes this many times the budget is done once.
 FAR_OVER = 30.0
+"""Work that takes this many times the budget is done once."""
 # Form of the loops -> the work that `planned` is told of: none, or so much that compiling pays.
 FORMS = {"compiled": 1 << 60, "numpy": 0}
 
 
 @dataclass(frozen=True, eq=False)
 class Contestant:
-    """``calls`` is how many calls or objects one sample is; ``fields`` are added to the record.
+    """One way to do the work.
 
-    ``warm_up`` is False of long work for which contestants before it load everything.
+    fields : added to its record. calls : calls or objects in one sample.
+    warm_up : False for long work for which earlier contestants load everything.
     """
 
     name: str
@@ -54,11 +55,13 @@ class Setting:
     budget: float = 0.5
     seed: int = 0
     report: Report = lambda what, done, total: None
+    least_runs: int = LEAST_RUNS
 
     def race(self, what: str, contestants: Sequence[Contestant], ratio: str) -> Cases:
-        """A record of each contestant, timed by turns after a warm-up; its field ``ratio`` is its time over the first one's.
+        """A record of each contestant, timed by turns after a warm-up.
 
-        Each is given the budget in 3 to 200 blocks; work that lasts thirty times the budget is done once.
+        Its field ``ratio`` is its time over the first contestant's. Each gets the budget, in 3 to
+        200 blocks; work that lasts thirty times the budget is done once.
         """
         for number, contestant in enumerate(contestants, 1):
             if contestant.warm_up:
@@ -70,16 +73,13 @@ class Setting:
                 blocks[i].append(_block(contestants[i].sample))
         records = []
         for contestant, taken in zip(contestants, blocks, strict=True):
-            low, median, high = np.percentile(taken, [25, 50, 75]) / contestant.calls
-            seconds = {"median": float(median), "low": float(low), "high": float(high)}
-            records.append(
-                record(what, contestant.name, seconds=seconds, runs=len(taken)) | contestant.fields
-            )
+            row = record(what, contestant.name, [value / contestant.calls for value in taken])
+            records.append(row | contestant.fields)
         first = records[0]["seconds"]["median"]
         return [row | {ratio: row["seconds"]["median"] / first} for row in records]
 
     def _enough(self, taken: list[float]) -> bool:
-        if len(taken) < LEAST_RUNS:
+        if len(taken) < self.least_runs:
             return bool(taken) and taken[0] > FAR_OVER * self.budget
         return len(taken) >= MOST_RUNS or sum(max(block, BLOCK) for block in taken) >= self.budget
 
@@ -92,45 +92,45 @@ def _block(sample: Sample) -> float:
     return sum(taken) / len(taken)
 
 
-def record(what: str, name: str, **fields: Any) -> Record:
-    """A flat record of one contestant; without ``seconds`` the field "left_out" says why."""
-    return {
-        "what": what,
-        "name": name,
-        "points": None,
-        "side": None,
-        "seconds": None,
-        "runs": 0,
-    } | fields
+def record(what: str, name: str, taken: Sequence[float], **fields: Any) -> Record:
+    """A flat record of one contestant, with median and quartiles of its times."""
+    low, median, high = (float(value) for value in np.percentile(taken, [25, 50, 75]))
+    head = {"what": what, "name": name, "points": None, "side": None}
+    return (
+        head
+        | {"seconds": {"median": median, "low": low, "high": high}, "runs": len(taken)}
+        | fields
+    )
 
 
-def timed(work: Callable[[], object], form: str = "") -> Sample:
-    """The work in a form of the loops: "numpy", "compiled", or that which it would choose itself."""
+def timed(
+    work: Callable[[], object], form: str = "", clock: Callable[[], float] = time.perf_counter
+) -> Sample:
+    """The work in a form of the loops: "numpy", "compiled", or "" for the form that it chooses."""
 
     def sample() -> float:
-        start = time.perf_counter()
+        start = clock()
         with in_form(form):
             work()
-        return time.perf_counter() - start
+        return clock() - start
 
     return sample
 
 
 def in_form(form: str) -> AbstractContextManager[None]:
-    """Inside, loops run in this form; without one, in that which the work chooses."""
+    """Inside, loops run in this form; with "" in the form that the work chooses."""
     return planned(FORMS[form], FORMS[form]) if form else nullcontext()
 
 
 def peak_memory() -> int | None:
-    """MiB that this process took at most, as Linux tells it; None elsewhere.
+    """Most MiB that this process took, as Linux counts them; None on other systems.
 
-    What `resource` says begins with the peak of the process that started this one.
+    The count of `resource` begins with the peak of the process that started this one.
     """
     status = Path("/proc/self/status")
     lines = status.read_text().splitlines() if status.exists() else []
-    return next(
-        (round(int(line.split()[1]) / 1024.0) for line in lines if line.startswith("VmHWM:")), None
-    )
+    peaks = (line.split()[1] for line in lines if line.startswith("VmHWM:"))
+    return next((round(int(kilobytes) / 1024.0) for kilobytes in peaks), None)
 
 
 Environment = Callable[[Path], dict[str, str]]
@@ -138,11 +138,8 @@ Environment = Callable[[Path], dict[str, str]]
 
 
 def as_installed(folder: Path) -> dict[str, str]:
-    return {
-        "PYTHONPATH": os.pathsep.join(
-            filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH")))
-        )
-    }
+    paths = filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH")))
+    return {"PYTHONPATH": os.pathsep.join(paths)}
 
 
 def never_run(folder: Path) -> dict[str, str]:
@@ -157,19 +154,14 @@ def process(name: str, arguments: Sequence[str], environment: Environment = as_i
 
     def sample() -> float:
         with tempfile.TemporaryDirectory() as folder:
-            # With PYTHONDONTWRITEBYTECODE no byte code would be kept, and every run would be a first one.
-            variables = {
-                key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"
-            }
+            variables = dict(os.environ)
+            # With it no byte code would be kept, and every run would be a first one.
+            variables.pop("PYTHONDONTWRITEBYTECODE", None)
             variables |= environment(Path(folder))
+            command = [sys.executable, *arguments]
+            quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "capture_output": True}
             start = time.perf_counter()
-            done = subprocess.run(
-                [sys.executable, *arguments],
-                cwd=folder,
-                env=variables,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-            )
+            done = subprocess.run(command, cwd=folder, env=variables, **quiet)
             elapsed = time.perf_counter() - start
         if done.returncode:
             last = (done.stderr.decode(errors="replace").strip().splitlines() or ["nothing"])[-1]

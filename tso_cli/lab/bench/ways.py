@@ -1,13 +1,14 @@
-"""What `tso bench pareto` compares: modes, presets and settings of `refine`, and other ways to refine a cloud."""
+"""What `tso lab pareto` compares: settings of `refine`, and other ways to refine a cloud."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ...geometry.points import Array
 from ...geometry.view import View
 from ...network.model import BaseNetwork
+from ...optimisation.presets import BEST
 from ...refinement import RefineConfig
 from ..stability.peers import PEERS
 from ..studies.cases import Case
@@ -15,7 +16,7 @@ from ..studies.refining import COMBINED, Variant, alone
 
 CLOUD, PREDICTION = "other", "network"
 STARTS = {CLOUD: "start: another shape of the type", PREDICTION: "start: the network's prediction"}
-"""Kind of the cases -> what it is called."""
+"""Kind of the cases -> its name."""
 DEFAULT, PAPER = "points, best", "points, paper"
 # Steps of each mode and preset; None: the preset's own.
 STEPS: dict[str, tuple[int | None, ...]] = {
@@ -26,14 +27,19 @@ STEPS: dict[str, tuple[int | None, ...]] = {
     "latent, paper": (12, None, 100),
     "latent, best": (15, None, 60),
 }
-BUDGETS = ("0.06", "0.1", "full")
+BUDGETS = ("0.06", "0.1")
+"""Seconds; the default is auto."""
 PUBLISHED_SECONDS, PUBLISHED = 1.0, (0.94, 0.97)
 """The paper's own: 3 to 6 % nearer, in about a second."""
 
 
 @dataclass(frozen=True)
 class Way:
-    """A point of the chart, from starts of ``kinds``; ways of one ``line`` are joined. ``points``, ``size``: of cloud, mask."""
+    """A point of the chart.
+
+    line : ways of one line are joined. kinds : of the cases that it refines.
+    points, size : of the cloud and of the mask.
+    """
 
     run: Variant | Callable[[Array, Sequence[View]], Array]
     line: str = ""
@@ -55,30 +61,40 @@ def _by_steps(line: str) -> Iterator[tuple[str, Way]]:
     mode, preset = line.split(", ")
     for steps in STEPS[line]:
         kinds = (PREDICTION,) if mode != "points" else (CLOUD,) if steps else (CLOUD, PREDICTION)
-        yield (
-            line + f", {steps} steps" * bool(steps),
-            Way(Variant(RefineConfig(mode, preset=preset, steps=steps)), line, kinds),
-        )
+        name = f"{line}, {steps} steps" if steps else line
+        run = Variant(RefineConfig(mode, preset=preset, steps=steps))
+        yield name, Way(run, line, kinds)
 
 
+def _default(
+    line: str = "", kinds: tuple[str, ...] = (CLOUD,), masks: int = 1, **changes: int
+) -> Way:
+    return Way(Variant(masks=masks), line, kinds, **changes)
+
+
+BOTH = (CLOUD, PREDICTION)
+COARSE = replace(BEST, stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages))
 WAYS: dict[str, Way] = {
     **dict(way for line in STEPS for way in _by_steps(line)),
-    **{f"{DEFAULT}, {number} masks": Way(Variant(masks=number), "masks") for number in (2, 4)},
-    **{
-        f"{DEFAULT}, {count:,} points": Way(Variant(), "points", (CLOUD,), points=count)
-        for count in (256, 4096, 16384)
-    },
-    **{
-        f"{DEFAULT}, {size} px": Way(Variant(), "pixels", (CLOUD,), size=size)
-        for size in (32, 128, 256)
-    },
-    **{
-        f"{DEFAULT}, budget {budget}": Way(Variant(RefineConfig(budget=budget)), "budget")
-        for budget in BUDGETS
-    },
+    **{f"{DEFAULT}, {count} masks": _default("masks", BOTH, masks=count) for count in (2, 4)},
+    **{f"{DEFAULT}, {n:,} points": _default("points", points=n) for n in (256, 4096, 16384)},
+    **{f"{DEFAULT}, {size} px": _default("pixels", size=size) for size in (32, 128, 256)},
+    **{f"{DEFAULT}, budget {b}": Way(Variant(RefineConfig(budget=b)), "budget") for b in BUDGETS},
+    # What auto decides, one decision changed at a time.
     f"{DEFAULT}, 512 move": Way(Variant(RefineConfig(points=512)), "moving", (CLOUD,)),
+    f"{DEFAULT}, 4,096 points, all move": Way(
+        Variant(RefineConfig(points=4096)), "", (CLOUD,), points=4096
+    ),
+    f"{DEFAULT}, 256 px, 64 cells": Way(
+        Variant(RefineConfig(coarse_to_fine=COARSE)), "", (CLOUD,), size=256
+    ),
     f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
     **{name: Way(variant, kinds=(PREDICTION,)) for name, variant in COMBINED.items()},
     **{name: Way(peer) for name, peer in PEERS.items()},
 }
 """What is compared; one line more is one point more on the chart."""
+
+
+def way_of(name: str) -> Way:
+    """The way of that name; an older record may hold ways that are gone, all with one mask."""
+    return WAYS.get(name, Way(Variant()))

@@ -1,9 +1,9 @@
-"""Commands that answer with a record: where the answer goes, how progress is shown, and the command of every study."""
+"""The command of every study: its options, where its record goes, and how progress is shown."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,38 +14,43 @@ from ...errors import InputError
 from ...io.output import atomic_output, check_output, sole_writer
 from ...io.reading import read_bytes
 from ...io.shipped import named_checkpoint
-from ..study import Option, Progress, Record, Study, answer, page, undamaged
+from ..options import Option
+from ..study import Progress, Record, Study, answer, page, undamaged
 
-output_option = click.option(
+OUTPUT = click.option(
     "-o",
     "--output",
     type=options.FilePath(),
-    help="Write the record here (.json), a chart (.png) and a page (.md) beside it.",
+    help="Write the record here (.json), with a chart (.png) and a page (.md) of the same name.",
+)
+RESUME = click.option(
+    "--resume",
+    is_flag=True,
+    help="Go on from the record at -o, if there is one; it is kept after every job.",
 )
 
 
 def check_outputs(output: Path | None, overwrite: bool, resume: bool = False) -> None:
-    """Refuse outputs that cannot be written before the long work starts; with ``resume`` they may be there.
+    """Refuse outputs that cannot be written, before the long work starts.
 
-    Until the command ends, other processes are refused the same output.
+    With ``resume`` they may exist. Until the command ends, other processes cannot write them.
     """
     if resume and output is None:
         raise InputError("--resume goes on from a record, expected its name after -o")
     if output is not None:
         if output.suffix.lower() != ".json":
-            raise InputError(
-                f"{output}: the suffix is {output.suffix!r}, expected .json (the chart goes beside it as .png)"
-            )
+            expected = "expected .json (the chart has the suffix .png)"
+            raise InputError(f"{output}: the suffix is {output.suffix!r}, {expected}")
         click.get_current_context().with_resource(sole_writer(output))
         for suffix in (".json", ".png", ".md"):
             check_output(output.with_suffix(suffix), overwrite or resume)
 
 
-def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, Any] | None:
+def earlier_record(study: str, output: Path | None, resume: bool) -> Record | None:
     """The record to resume, None where there is none or ``resume`` is false.
 
-    Raises InputError if the file is no record, or one of ``study`` that another method made: the cases of two methods do not
-    mix. A record of another study is for the study to refuse.
+    Raises InputError if the file is no record, or a record of ``study`` that another method made:
+    cases of two methods do not mix. The study itself refuses a record of another study.
     """
     if output is None or not resume or not output.exists():
         return None
@@ -55,15 +60,14 @@ def earlier_record(study: str, output: Path | None, resume: bool) -> dict[str, A
     with undamaged(f"{output}: the record"):
         changes = differences(record) if record.get("study") == study else []
     if changes:
-        raise InputError(
-            f"{output}: was made by another method ({changes[0]}), expected one made by the method as it is (with --overwrite "
-            "in place of --resume it is made anew)"
-        )
+        found = f"was made by another method ({changes[0]})"
+        hint = "(with --overwrite in place of --resume it is made anew)"
+        raise InputError(f"{output}: {found}, expected one made by the method as it is {hint}")
     return record
 
 
-def read_record(path: Path) -> dict[str, Any]:
-    """The record of a study; InputError if the file is none."""
+def read_record(path: Path) -> Record:
+    """The record of a study; InputError if the file holds none."""
     try:
         record = json.loads(read_bytes(path, "the record of a study"))
     except (ValueError, RecursionError):
@@ -73,14 +77,28 @@ def read_record(path: Path) -> dict[str, Any]:
     return record
 
 
-def write_record(record: dict[str, Any], parts: Sequence[str], output: Path) -> None:
-    """Write the record over the one before, a case a line, with ``parts`` of the fingerprint of the method as it is."""
-    from ..studies.fingerprint import today
-
-    record = {**record, "fingerprint": {part: today(part) for part in parts}}
+def write_record(record: Record, output: Path) -> None:
+    """Write the record, over the earlier one, with a line for each case."""
+    record = dict(record)
     cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record.pop("cases"))
     with atomic_output(output) as temporary:
         temporary.write_text(f'{json.dumps(record, indent=1)[:-2]},\n "cases": [\n{cases}\n]}}\n')
+
+
+def with_fingerprint(record: Record, study: Study, command_line: str) -> Record:
+    """The record with the command that makes it and the fingerprint of the method as it is."""
+    from ..studies.fingerprint import today
+
+    fingerprint = {part: today(part) for part in study.parts}
+    return {**record, "command": command_line, "fingerprint": fingerprint}
+
+
+def write_page(study: Study, record: Record, output: Path) -> None:
+    """The chart and the page of the record at ``output``."""
+    study.draw(output.with_suffix(".png"), record, True)
+    with atomic_output(output.with_suffix(".md")) as temporary:
+        more = sorted(path.name for path in output.parent.glob(f"{output.stem}.*.png"))
+        temporary.write_text(page(study, record, output.name, more))
 
 
 class Reporter:
@@ -95,16 +113,8 @@ class Reporter:
         self._bar(done, total)
 
 
-def write_page(study: Study, record: Record, output: Path) -> None:
-    """The chart and the page of the record at ``output``, beside it."""
-    study.draw(output.with_suffix(".png"), record, True)
-    with atomic_output(output.with_suffix(".md")) as temporary:
-        more = sorted(path.name for path in output.parent.glob(f"{output.stem}.*.png"))
-        temporary.write_text(page(study, record, output.name, more))
-
-
 def command_of(study: Study) -> click.Command:
-    """`tso lab NAME` or `tso bench NAME`."""
+    """`tso lab NAME`."""
 
     def run(
         output: Path | None, overwrite: bool, as_json: bool, resume: bool, **values: Any
@@ -120,13 +130,12 @@ def command_of(study: Study) -> click.Command:
 
         def keep(record: Record) -> None:
             if output is not None:
-                write_record({**record, "command": command_line}, study.parts, output)
+                write_record(with_fingerprint(record, study, command_line), output)
 
         earlier = earlier_record(study.name, output, resume)
-        named = f"{output}: the record to go on from"
-        record = study.run(
-            Progress(Reporter(), earlier, keep, overwrite or resume, named), **values
-        )
+        source = f"{output}: the record to go on from"
+        progress = Progress(Reporter(), earlier, keep, overwrite or resume, source)
+        record = study.run(progress, **values)
         if output is not None:
             write_page(study, {**record, "command": command_line}, output)
         if as_json:
@@ -134,23 +143,12 @@ def command_of(study: Study) -> click.Command:
         else:
             click.echo(answer(study, record))
 
-    resumed = click.option(
-        "--resume",
-        is_flag=True,
-        help="Go on from the record at -o, kept after every job, if there is one.",
-    )
     function: Callable[..., Any] = run
-    for decorate in (
-        options.as_json,
-        options.overwrite,
-        resumed,
-        output_option,
-        *map(_click_option, study.options[::-1]),
-    ):
+    own = map(_click_option, reversed(study.options))
+    for decorate in (options.as_json, options.overwrite, RESUME, OUTPUT, *own):
         function = decorate(function)
-    return click.command(study.name, help="\n\n".join(filter(None, (study.question, study.about))))(
-        function
-    )
+    help_text = "\n\n".join(filter(None, (study.question, study.about)))
+    return click.command(study.name, help=help_text)(function)
 
 
 def _click_option(option: Option) -> Callable[..., Any]:
@@ -158,36 +156,31 @@ def _click_option(option: Option) -> Callable[..., Any]:
     if option.choices:
         kind = click.Choice(option.choices)
     elif option.least is not None:
-        kind = click.IntRange(option.least, option.most)
+        kind = options.Whole(option.least, option.most)
     settings: dict[str, Any] = {"is_flag": True} if option.kind is bool else {"type": kind}
-    if option.default is not None:  # None, where it is passed on, would satisfy a required option
+    if option.default is not None:  # click takes a default of None for a value that was given
         settings["default"] = option.default
     return click.option(
         option.flag,
         option.parameter,
         required=option.required,
         multiple=option.multiple,
-        show_default=not (
-            option.default is None or option.default is False or option.default == ()
-        ),
+        show_default=option.default not in (None, False, ()),
         help=option.help,
         **settings,
     )
 
 
 def _command_line(study: Study, values: dict[str, Any]) -> str:
-    """The command line that makes the record; folders and files of this machine by their last names."""
+    """The command line that makes the record; of this machine's paths it has the last names."""
     words = [study.command]
     for option in study.options:
         value = values[option.parameter]
         if option.required:
             words.append(f"{option.flag} DIR")
         elif option.kind is bool:
-            words += [option.flag] * value
+            words += [option.flag] if value else []
         elif value != option.default:
-            values_of = value if option.multiple else [value]
-            words += [
-                f"{option.flag} {item.name if isinstance(item, Path) else item}"
-                for item in values_of
-            ]
+            for item in value if option.multiple else [value]:
+                words.append(f"{option.flag} {item.name if isinstance(item, Path) else item}")
     return " ".join(words)

@@ -1,1 +1,1 @@
-"""How wrong the input may be: one difficulty at a time, from harmless to hopeless."""
+"""How wrong the input may be: one thing at a time, from harmless to hopeless."""

@@ -1,4 +1,4 @@
-"""The chart of `tso bench stability`: a row for each axis, from green over amber to red, with where the tool speaks up."""
+"""The chart of `tso lab stability`: a row for each axis, from green over amber to red."""
 
 from __future__ import annotations
 
@@ -11,106 +11,71 @@ from ...plots.style import INK, PALE, page
 from ..studies.refining import DEFAULT
 from ..studies.summary import grouped
 from ..study import Record
-from .knees import AXIS, WORSE, fails, speaks
+from .knees import AXIS, WORSE, fails, warns
 
-# Colours by the ratio, each up to that one: better, hardly changed, worse, far worse.
+# Largest ratio -> colour and its name: better, hardly changed, worse, far worse.
 SHADES = {
-    0.7: "#1a9850",
-    0.95: "#91cf60",
-    WORSE: "#d9ef8b",
-    1.5: "#fdae61",
-    3.0: "#f46d43",
-    np.inf: "#d73027",
+    0.7: ("#1a9850", "to 0.7"),
+    0.95: ("#91cf60", "to 0.95"),
+    WORSE: ("#d9ef8b", f"to {WORSE:g}, as before"),
+    1.5: ("#fdae61", "to 1.5"),
+    3.0: ("#f46d43", "to 3"),
+    np.inf: ("#d73027", "above"),
 }
-NAMES = ("to 0.7", "to 0.95", f"to {WORSE:g}, as before", "to 1.5", "to 3", "above")
-ROW = 0.18
+ROW_HEIGHT = 0.18
 """Inches."""
 
 
 def draw(path: Path, record: Record, overwrite: bool) -> None:
-    """By the default preset: cells of levels coloured by the median ratio, and the knee in words."""
+    """By the default preset: cells of levels coloured by the median ratio; triangles: warnings."""
     axes = grouped([row for row in record["cases"] if row["variant"] == DEFAULT], "axis")
-    knees = record["knees"][DEFAULT]
     columns = max(len(rows) for rows in axes.values())
     groups = [AXIS[name].group for name in axes]
-    with page(
-        path, overwrite, (13.0, 1.15 + ROW * (len(axes) + len(set(groups)))), dpi=100
-    ) as figure:
+    height = 1.15 + ROW_HEIGHT * (len(axes) + len(set(groups)))
+    title = {"fontsize": 8, "weight": "bold", "ha": "right", "va": "center", "color": INK}
+    with page(path, overwrite, (10.5, height), dpi=100) as figure:
         axis = figure.subplots()
         y, ticks = -1.0, []
-        for i, (name, rows) in enumerate(axes.items()):
+        for i, rows in enumerate(axes.values()):
             if i == 0 or groups[i] != groups[i - 1]:
                 y += 1.0
-                axis.text(
-                    -0.55,
-                    y,
-                    groups[i],
-                    fontsize=8,
-                    weight="bold",
-                    ha="right",
-                    va="center",
-                    color=INK,
-                )
+                axis.text(-0.55, y, groups[i], **title)
             y += 1.0
             ticks.append(y)
             for x, row in enumerate(rows):
                 _draw_cell(axis, x, y, row)
-            axis.text(columns - 0.4, y, knees[name]["words"], fontsize=7, va="center", color=INK)
-        labels = [f"{name}, {AXIS[name].unit}" if AXIS[name].unit else name for name in axes]
-        axis.set_yticks(ticks, labels, fontsize=7)
-        axis.set(xlim=(-0.5, columns + 4.6), ylim=(y + 0.6, -0.6), xticks=[])
+        axis.set_yticks(ticks, [AXIS[name].label for name in axes], fontsize=7)
+        axis.set(xlim=(-0.5, columns - 0.5), ylim=(y + 0.6, -0.6), xticks=[])
         axis.tick_params(left=False)
         axis.spines[["left", "bottom"]].set_visible(False)
-        _draw_legend(figure, axis)
+        _draw_legend(figure)
 
 
 def _draw_cell(axis: Any, x: float, y: float, row: Record) -> None:
     refused = row["refused"] > 0.5
     ratio = np.inf if row["median"] is None else row["median"]
-    colour = PALE if refused else next(shade for limit, shade in SHADES.items() if ratio <= limit)
-    axis.barh(y, 0.96, 0.86, x - 0.48, color=colour, linewidth=0)
-    light = "white" if not refused and (ratio > 3.0 or ratio <= 0.7) else INK
-    text = "" if refused else f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"
-    axis.text(
-        x - 0.44,
-        y,
-        AXIS[row["axis"]].at(row["level"]).split(" ")[0],
-        fontsize=6,
-        va="center",
-        color=light,
-    )
-    axis.text(
-        x + 0.30,
-        y,
-        text,
-        fontsize=6.5,
-        va="center",
-        ha="right",
-        color=light,
-        weight="bold" if fails(row) else "normal",
-    )
-    if speaks(row):
-        axis.scatter(x + 0.39, y, s=16, marker="^", color=light, linewidths=0)
+    shade = next(colour for limit, (colour, _) in SHADES.items() if ratio <= limit)
+    axis.barh(y, 0.96, 0.86, x - 0.48, color=PALE if refused else shade, linewidth=0)
+    ink = "white" if not refused and (ratio > 3.0 or ratio <= 0.7) else INK
+    level = AXIS[row["axis"]].at(row["level"]).split(" ")[0]
+    axis.text(x - 0.44, y, level, fontsize=6, va="center", color=ink)
+    if not refused:
+        text = f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"
+        weight = "bold" if fails(row) else "normal"
+        style = {"fontsize": 6.5, "va": "center", "ha": "right", "weight": weight}
+        axis.text(x + 0.30, y, text, color=ink, **style)
+    if warns(row):
+        axis.scatter(x + 0.39, y, s=16, marker="^", color=ink, linewidths=0)
 
 
-def _draw_legend(figure: Any, axis: Any) -> None:
+def _draw_legend(figure: Any) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles: list[Any] = [
-        Patch(color=shade, label=name) for shade, name in zip(SHADES.values(), NAMES, strict=True)
-    ]
-    handles += [
-        Patch(color=PALE, label="refused by most"),
-        Line2D([], [], color=INK, marker="^", ls="", label="speaks up"),
-    ]
+    handles: list[Any] = [Patch(color=colour, label=name) for colour, name in SHADES.values()]
+    handles.append(Patch(color=PALE, label="refused by most"))
+    handles.append(Line2D([], [], color=INK, marker="^", ls="", label="tso warns"))
     title = "from harmless to hopeless: level, and median Chamfer distance after / before"
-    figure.legend(
-        handles=handles,
-        loc="outside upper center",
-        ncols=8,
-        frameon=False,
-        fontsize=8,
-        title=title,
-        title_fontsize=9,
-    )
+    style = {"frameon": False, "fontsize": 8, "title_fontsize": 9}
+    place = {"loc": "outside upper center", "ncols": 8}
+    figure.legend(handles=handles, title=title, **place, **style)

@@ -7,67 +7,62 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..study import Cases, Record
-from .axes import AXES, Axis
+from .axes import AXES
 
 AXIS = {axis.name: axis for axis in AXES}
 WORSE = 1.05
 """A ratio over this is worse than the start."""
-# Of the runs of a level that works, so many may be worse.
 FEW = 0.05
-FIGURES = ("median", "p95", "worst", "worse", "non_finite", "refused", "spoke", "silent", "seconds")
+"""Largest share of worse runs at a level that works."""
+OFTEN = 0.5
+"""tso warns at a level if it does so in this share of the runs."""
 SILENT, WARNED, DOUBTFUL, REFUSED, NON_FINITE = "-wdrn"
-"""What became of a run, a letter each: done and silent, warned, doubted by the tool itself, refused, not finite."""
+"""What became of a run: done without a warning, warned, called doubtful, refused, not finite."""
 
 
 def figures(
     said: str, ratios: Sequence[float | None], seconds: Sequence[float | None]
 ) -> dict[str, float | None]:
-    """`FIGURES` of the runs of one level: ratios after / before, shares of the runs, median seconds.
+    """Of the runs of one level: ratios after / before, shares of the runs, median seconds.
 
-    ``worse`` is the share over 1.05, ``spoke`` that with a warning, a doubt or a refusal, ``silent`` that worse and with none.
-    A run without a ratio that was not refused counts as infinitely worse.
+    ``worse`` is the share over 1.05, ``spoke`` the share with a warning, a doubtful verdict or a
+    refusal, ``silent`` the share that is worse without any. A run that was not refused and has no
+    ratio counts as infinitely worse.
     """
-    done = np.array(
-        [
-            np.inf if ratio is None else ratio
-            for ratio, word in zip(ratios, said, strict=True)
-            if word != REFUSED
-        ]
-    )
-    median, high, worst = (
-        np.quantile(done, (0.5, 0.95, 1.0), method="nearest") if len(done) else [np.nan] * 3
-    )
+    pairs = list(zip(ratios, said, strict=True))
+    done = [np.inf if ratio is None else ratio for ratio, word in pairs if word != REFUSED]
+    places = (0.5, 0.95, 1.0)
+    median, high, worst = np.quantile(done, places, method="nearest") if done else [np.nan] * 3
     spoke = np.array([word in (WARNED, DOUBTFUL, REFUSED) for word in said])
-    worse = np.array([got_worse(ratio, word) for ratio, word in zip(ratios, said, strict=True)])
+    worse = np.array([got_worse(ratio, word) for ratio, word in pairs])
     took = [value for value in seconds if value is not None]
-    shares = [
-        float(share) / len(said)
-        for share in (worse.sum(), said.count(NON_FINITE), said.count(REFUSED), spoke.sum())
-    ]
-    values = [
-        median,
-        high,
-        worst,
-        *shares,
-        float((worse & ~spoke).mean()),
-        float(np.median(took)) if took else None,
-    ]
-    return {name: digits(value) for name, value in zip(FIGURES, values, strict=True)}
+    values = {
+        "median": median,
+        "p95": high,
+        "worst": worst,
+        "worse": float(worse.mean()),
+        "non_finite": said.count(NON_FINITE) / len(said),
+        "refused": said.count(REFUSED) / len(said),
+        "spoke": float(spoke.mean()),
+        "silent": float((worse & ~spoke).mean()),
+        "seconds": float(np.median(took)) if took else None,
+    }
+    return {name: digits(value) for name, value in values.items()}
 
 
 def got_worse(ratio: float | None, word: str) -> bool:
-    """Whether a run with this ratio, of which the tool said ``word``, ended worse than it started."""
+    """Whether a run with this ratio, of which tso said ``word``, ended worse than it started."""
     return word != REFUSED and (ratio is None or ratio > WORSE)
 
 
 def digits(value: float | None, count: int = 3) -> float | None:
-    """With so many digits; None for what is no finite number."""
+    """Rounded to ``count`` digits; None for what is no finite number."""
     return None if value is None or not np.isfinite(value) else float(f"{value:.{count}g}")
 
 
-def speaks(row: Record) -> bool:
-    """Whether the tool speaks up at this level: warns, doubts or refuses in at least half of the runs."""
-    return bool(row["spoke"] >= 0.5)
+def warns(row: Record) -> bool:
+    """Whether tso warns, doubts or refuses in at least half of the runs of this level."""
+    return bool(row["spoke"] >= OFTEN)
 
 
 def fails(row: Record) -> bool:
@@ -79,69 +74,29 @@ def works(row: Record) -> bool:
 
 
 def knee(rows: Cases) -> Record:
-    """The levels of an axis that matter to a user, None where there is none, and the same in words.
+    """The levels of an axis that matter to a user, None where there is none.
 
-    works_to : the last level before the first that does not work. fails_at : the first level that fails. speaks_from : the
-    first level with a warning after the last failing one without (where none fails, the last one without). ``rows`` are those
-    of all levels, from harmless to hopeless.
+    ``rows`` are those of all levels, from harmless to hopeless.
+
+    works_to : the last level before the first that does not work.
+    fails_at : the first level that fails; ``refused`` if most of its runs are refused.
+    speaks_from : the first level with a warning from which on all failing levels have one; where
+        none fails, from which on all have one.
+    worst : largest median ratio of a level. silent : share of all runs that got worse silently.
     """
-    levels, flags = (
-        [row["level"] for row in rows],
-        {test: [test(row) for row in rows] for test in (works, speaks, fails)},
-    )
-    working = flags[works].index(False) if False in flags[works] else len(rows)
-    judged = flags[fails] if True in flags[fails] else [True] * len(rows)
-    silent = [place for place in range(len(rows)) if judged[place] and not flags[speaks][place]]
-    warned = [
-        place for place in range(max(silent, default=-1) + 1, len(rows)) if flags[speaks][place]
-    ]
-    speaking = min(warned, default=len(rows))
-    failing = flags[fails].index(True) if True in flags[fails] else len(rows)
-    places = {"works_to": working - 1, "speaks_from": speaking, "fails_at": failing}
-    knee_levels: Record = {
-        key: levels[i] if 0 <= i < len(rows) else None for key, i in places.items()
+    levels = [row["level"] for row in rows]
+    working, failing = [works(row) for row in rows], [fails(row) for row in rows]
+    harmless = working.index(False) if False in working else len(rows)
+    asked = failing if True in failing else [True] * len(rows)
+    missed = [place for place, row in enumerate(rows) if asked[place] and not warns(row)]
+    speaks = [row["level"] for row in rows[max(missed, default=-1) + 1 :] if warns(row)]
+    fails_at = failing.index(True) if True in failing else None
+    medians = [row["median"] for row in rows if row["median"] is not None]
+    return {
+        "works_to": levels[harmless - 1] if harmless else None,
+        "speaks_from": speaks[0] if speaks else None,
+        "fails_at": None if fails_at is None else levels[fails_at],
+        "refused": fails_at is not None and rows[fails_at]["refused"] > 0.5,
+        "worst": max(medians, default=None),
+        "silent": digits(float(np.mean([row["silent"] for row in rows]))),
     }
-    refused = failing < len(rows) and rows[failing]["refused"] > 0.5
-    return {**knee_levels, "words": _words(AXIS[rows[0]["axis"]], knee_levels, levels, refused)}
-
-
-def _words(axis: Axis, knee_levels: Record, levels: list[float], refused: bool) -> str:
-    works_to, speaks_from, fails_at = (
-        knee_levels["works_to"],
-        knee_levels["speaks_from"],
-        knee_levels["fails_at"],
-    )
-    if len(axis.levels) == 1:
-        outcome = (
-            "fails"
-            if fails_at is not None
-            else "works"
-            if works_to is not None
-            else "fails at times"
-        )
-        warned = (
-            ", with a warning"
-            if speaks_from is not None
-            else ""
-            if works_to is not None
-            else ", without a word"
-        )
-        return "is refused" if refused else outcome + warned
-    unit = f" {axis.unit}".rstrip()
-    if works_to == levels[-1]:
-        return f"works throughout, {_warns(speaks_from)}"
-    works_words = (
-        f"works to {works_to:g}{unit}"
-        if works_to is not None
-        else f"does not work at {levels[0]:g}{unit}"
-    )
-    failure = (
-        "does not fail"
-        if fails_at is None
-        else f"{'is refused' if refused else 'fails'} at {fails_at:g}"
-    )
-    return f"{works_words}, {_warns(speaks_from)}, {failure}"
-
-
-def _warns(speaks_from: float | None) -> str:
-    return "never warns" if speaks_from is None else f"warns from {speaks_from:g}"

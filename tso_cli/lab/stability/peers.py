@@ -1,4 +1,4 @@
-"""Other ways of comparing points with a mask, in place of the paper's silhouette in its own descent (50 steps of Adam)."""
+"""Other silhouettes of points, in place of the paper's, in its own optimisation (50 steps)."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from ...geometry.view import View
 from ...geometry.window import window_of
 from ...kernels.dispatch import planned
 from ...losses.chamfer import ChamferToStart
-from ...optimisation.presets import PAPER_GAMMA, PAPER_LEARNING_RATE, PAPER_SIGMA_SQ, PAPER_STEPS
+from ...optimisation.presets import PAPER_POINTS, SIGMA_SQ
 from ...optimisation.resampled_view import CELLS, ResampledView, resample_view
 
 EPSILON = 1e-8
 """In the logarithms of the cross-entropy, as it is usually written."""
-# Cells of a point's disc, as PyTorch3D draws points.
 RADIUS = 1.5
+"""Cells of a point's disc, as PyTorch3D draws points."""
+MOST_POWER = 40.0
+"""Beyond it a product of two Gaussians is denormal: slow, and nothing compared with 1e-8."""
 
 
 def _gaussians(points_px: Tensor) -> Tensor:
     cells = torch.arange(CELLS)
-    powers = (0.5 / PAPER_SIGMA_SQ * (cells - places[:, None]) ** 2 for places in points_px.T)
-    # Under exp(-40) a product of two is denormal: slow, and nothing beside 1e-8.
-    along_x, along_y = (torch.exp(-power.clamp(max=40.0)) for power in powers)
+    powers = (0.5 / SIGMA_SQ * (cells - places[:, None]) ** 2 for places in points_px.T)
+    along_x, along_y = (torch.exp(-power.clamp(max=MOST_POWER)) for power in powers)
     return torch.tanh(along_y.T @ along_x)
 
 
@@ -53,28 +54,25 @@ def _alpha_points(points_px: Tensor) -> Tensor:
     return 1.0 - torch.exp(_on_cells(places.flatten(0, 1), clear.flatten()))
 
 
-def _descent(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Sequence[View]], Array]:
+def _optimised(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Sequence[View]], Array]:
     def refined(points: Array, views: Sequence[View]) -> Array:
-        # More would wait for one another on a busy machine.
-        torch.set_num_threads(1)
+        torch.set_num_threads(1)  # several would wait for one another on a busy machine
         centre, scale = bounding_box_normalisation(points)
         seen = [
-            resample_view(view, PAPER_SIGMA_SQ, centre, scale, window_of(view, points))
-            for view in views
+            resample_view(view, SIGMA_SQ, centre, scale, window_of(view, points)) for view in views
         ]
         start = (points - centre) / scale
         moved = torch.tensor(start, dtype=torch.float32, requires_grad=True)
         # In compiled loops.
-        with planned(PAPER_STEPS, PAPER_STEPS * len(points) * 10**6):
+        with planned(PAPER_POINTS.steps, PAPER_POINTS.steps * len(points) * 10**6):
             to_start = ChamferToStart(start)
-        adam = torch.optim.Adam([moved], lr=PAPER_LEARNING_RATE["points"])
-        for _ in range(PAPER_STEPS):
+        adam = torch.optim.Adam([moved], lr=PAPER_POINTS.learning_rate)
+        for _ in range(PAPER_POINTS.steps):
             gradient = to_start(moved.detach().double().numpy())[1]
+            by_start = torch.as_tensor(gradient, dtype=torch.float32)
             loss = sum((_cross_entropy(silhouette, moved, view) for view in seen), torch.zeros(()))
             (by_masks,) = torch.autograd.grad(loss, moved)
-            moved.grad = by_masks + PAPER_GAMMA["points"] * torch.as_tensor(
-                gradient, dtype=torch.float32
-            )
+            moved.grad = by_masks + PAPER_POINTS.gamma * by_start
             adam.step()
         moved_back: Array = centre + scale * moved.detach().double().numpy()
         return moved_back
@@ -92,13 +90,12 @@ def _cross_entropy(
     camera = points @ R.T + t
     front = camera[camera[:, 2] > NEAR]
     drawn = silhouette(front[:, :2] / front[:, 2:] @ K[:2, :2].T + K[:2, 2])
-    return -(
-        mask * torch.log(drawn + EPSILON) + background * torch.log(1.0 - drawn + EPSILON)
-    ).sum()
+    inside, outside = torch.log(drawn + EPSILON), torch.log(1.0 - drawn + EPSILON)
+    return -(mask * inside + background * outside).sum()
 
 
 PEERS = {
-    "log(tanh + 1e-8)": _descent(_gaussians),
-    "discretised projection": _descent(_discretised),
-    "alpha points": _descent(_alpha_points),
+    "log(tanh + 1e-8)": _optimised(_gaussians),
+    "discretised projection": _optimised(_discretised),
+    "alpha points": _optimised(_alpha_points),
 }

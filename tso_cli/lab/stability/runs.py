@@ -1,9 +1,8 @@
-"""Cases altered, refined and judged."""
+"""Cases altered, refined, and compared with the truth."""
 
 from __future__ import annotations
 
 import time
-import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from ...commands.sentences import Words
+from ...diagnosis.examine import NoOverlapError
+from ...diagnosis.findings import Finding
 from ...errors import TsoError
 from ...evaluation.metrics import chamfer
 from ...geometry.camera import Array
@@ -19,26 +21,40 @@ from ...geometry.view import View
 from ...refinement import RefineConfig, RefineResult, refine_batch
 from ..studies.cases import Case
 from ..studies.refining import Variant, uninterrupted
-from ..study import Cases
+from ..study import Cases, Record
 from .axes import Axis
 from .knees import DOUBTFUL, NON_FINITE, REFUSED, SILENT, WARNED, digits, figures
 
 Peer = Callable[[Array, Sequence[View]], Array]
 Way = Variant | Peer
-# Pixels of the scenes that are refined in one call, at most: 8,192 pixels each way fill a quarter of a GiB.
-AT_ONCE = 3e7
-# What a row says of each run -> the attribute of its result.
-NUMBERS = {
-    "confidence": "confidence",
-    "iou_before": "iou_before",
-    "iou_after": "iou_after",
-    "moved": "moved_mean",
+PIXELS_AT_ONCE = 3e7
+"""Most that are refined in one call: 8,192 pixels each way fill a quarter of a GiB."""
+# What a row says of each run -> the number of its result.
+NUMBERS: dict[str, Callable[[RefineResult], float | None]] = {
+    "confidence": lambda result: result.trust.confidence,
+    "iou_before": lambda result: result.fit.iou_before,
+    "iou_after": lambda result: result.fit.iou_after,
+    "moved": lambda result: result.fit.moved_mean,
 }
+
+
+def findings_of(source: RefineResult | TsoError) -> tuple[str, ...]:
+    """The names of what a result or a refusal finds to be suspicious."""
+    findings: Sequence[Finding] = ()
+    if isinstance(source, NoOverlapError):
+        findings = source.diagnosis.suspicious
+    elif isinstance(source, RefineResult):
+        findings = [finding for finding in source.findings if finding.suspicious]
+    # An assumption that is taken back names no mistake.
+    return tuple("" if finding.without else finding.name for finding in findings)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A case to alter by an axis at a level, and to refine with so many ``masks``; ``other`` has those of another object."""
+    """A case to alter by an axis at a level, and to refine with ``masks`` masks.
+
+    ``other`` has the masks of another object.
+    """
 
     axis: Axis
     level: float
@@ -48,16 +64,17 @@ class Run:
     masks: int = 1
 
     def altered(self, config: RefineConfig) -> tuple[Case, RefineConfig]:
-        """The case, with the masks that are seen, and settings; raises TsoError where it cannot be made."""
+        """The case, with the masks that are seen, and settings; TsoError where it has none."""
         case, config = self.axis.apply(self.case, self.level, self.rng, self.other, config)
         return replace(case, views=case.views[: max(self.masks, self.axis.masks)]), config
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of a run. said : a letter of `knees`; points : [M, 3]; result : None of a peer; took : seconds.
+    """What became of a run.
 
-    Of a case that was refused there is the ``refusal`` alone, in words.
+    said : a letter of `knees`. points : [M, 3], None if it was refused. result : None of a peer.
+    took : seconds. findings : names of hypotheses, of the result or the refusal.
     """
 
     run: Run
@@ -66,10 +83,10 @@ class Outcome:
     points: Array | None = None
     result: RefineResult | None = None
     took: float | None = None
-    refusal: str = ""
+    findings: tuple[str, ...] = ()
 
     def ratio(self) -> float | None:
-        """Chamfer distance of the result's own points over that of the start as it was given, altered.
+        """Chamfer distance of the result's own points over the distance of the altered start.
 
         None where there is no result, or a point is no number.
         """
@@ -86,15 +103,13 @@ class Outcome:
 def run_of(
     cases: Sequence[Case], axis: Axis, level: float, number: int, seed: int, masks: int = 1
 ) -> Run:
-    """Case ``number`` at that level, beside another of them; one seed gives all levels the same random numbers."""
+    """Case ``number`` at that level; one seed gives all levels the same random numbers."""
     case, other = cases[number], cases[(number + max(1, len(cases) // 2)) % len(cases)]
-    rng = np.random.default_rng(
-        [seed, zlib.crc32(axis.name.encode()), zlib.crc32(case.shape.encode()), case.view]
-    )
-    return Run(axis, level, case, other, rng, masks)
+    words = (zlib.crc32(word.encode()) for word in (axis.name, case.shape))
+    return Run(axis, level, case, other, np.random.default_rng([seed, *words, case.view]), masks)
 
 
-def judge(
+def level_rows(
     cases: Sequence[Case],
     seeds: Sequence[int],
     axis: Axis,
@@ -104,58 +119,41 @@ def judge(
 ) -> Cases:
     """A row for each level, of all seeds of each case."""
     masks = way.masks if isinstance(way, Variant) else 1
-    runs = (
-        run_of(cases, axis, *place, masks) for place in product(levels, range(len(cases)), seeds)
-    )
-    run_rows, count = (
-        [_run_row(outcome) for outcome in outcomes_of(runs, way)],
-        len(cases) * len(seeds),
-    )
+    places = product(levels, range(len(cases)), seeds)
+    runs = (run_of(cases, axis, *place, masks) for place in places)
+    found = [_run_row(outcome) for outcome in outcomes_of(runs, way)]
+    count = len(cases) * len(seeds)
     return [
-        _row(axis, name, level, run_rows[i * count : (i + 1) * count])
+        {"axis": axis.name, "variant": name, "level": level}
+        | _row(found[i * count : (i + 1) * count])
         for i, level in enumerate(levels)
     ]
 
 
-def _run_row(outcome: Outcome) -> dict[str, Any]:
+def _run_row(outcome: Outcome) -> Record:
     """What a row says of a run."""
-    verdict = getattr(outcome.result, "verdict", None) or "?"
-    numbers = {key: digits(getattr(outcome.result, name, None)) for key, name in NUMBERS.items()}
-    return {
-        "said": outcome.said,
-        "verdict": verdict[0],
-        "ratio": digits(outcome.ratio()),
-        **numbers,
-        "took": digits(outcome.took),
-    }
+    result = outcome.result
+    verdict = (result and result.trust.verdict) or "?"
+    row = {"said": outcome.said, "verdict": verdict[0], "ratio": digits(outcome.ratio())}
+    row |= {key: digits(number(result) if result else None) for key, number in NUMBERS.items()}
+    return {**row, "took": digits(outcome.took)}
 
 
-def _row(axis: Axis, name: str, level: float, run_rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """The level's figures, and the same of every run; what no run has is left out."""
+def _row(run_rows: Sequence[Record]) -> Record:
+    """The level's figures, and what is known of every run; what no run has is left out."""
     of_runs = {key: [run[key] for run in run_rows] for key in run_rows[0]}
-    said, verdicts, ratios = (
-        "".join(of_runs.pop("said")),
-        "".join(of_runs.pop("verdict")),
-        of_runs.pop("ratio"),
-    )
-    head = {
-        "axis": axis.name,
-        "variant": name,
-        "level": level,
-        **figures(said, ratios, of_runs["took"]),
-        "said": said,
-    }
-    if verdicts.strip("?"):
-        head["verdict"] = verdicts
-    return {
-        **head,
-        "ratio": ratios,
-        **{key: values for key, values in of_runs.items() if any(v is not None for v in values)},
+    said, verdict = ("".join(of_runs.pop(key)) for key in ("said", "verdict"))
+    ratios = of_runs.pop("ratio")
+    row: Record = {**figures(said, ratios, of_runs["took"]), "said": said}
+    row |= {"verdict": verdict} if verdict.strip("?") else {}
+    row |= {"ratio": ratios}
+    return row | {
+        key: values for key, values in of_runs.items() if any(v is not None for v in values)
     }
 
 
 def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
-    """What becomes of each run, in their order, by a peer or a refinement; those of equal settings are refined in one call."""
+    """What becomes of each run, in their order; runs of equal settings are refined in one call."""
     given = way.config if isinstance(way, Variant) else RefineConfig()
     waiting: list[tuple[Run, Case | TsoError]] = []
     refined_with, size = given, 0
@@ -166,7 +164,7 @@ def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
             waiting.append((run, error))
             continue
         pixels = sum(view.mask.size for view in altered.views)
-        if size and (config != refined_with or size + pixels > AT_ONCE):
+        if size and (config != refined_with or size + pixels > PIXELS_AT_ONCE):
             yield from _refined(waiting, way, refined_with)
             waiting, size = [], 0
         waiting.append((run, altered))
@@ -177,43 +175,39 @@ def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
 def _refined(
     waiting: Sequence[tuple[Run, Case | TsoError]], way: Way, config: RefineConfig
 ) -> Iterator[Outcome]:
-    # What is said on the way names the view.
-    named = [
-        replace(altered, views=tuple(replace(view, name=f"run {i}") for view in altered.views))
-        for i, (_, altered) in enumerate(waiting)
-        if isinstance(altered, Case)
-    ]
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        results: Iterator[RefineResult | TsoError] = iter(())
-        if isinstance(way, Variant) and named:
-            results = iter(refine_batch([(case.initial, case.views) for case in named], config))
-    warned = {str(warning.message).partition(":")[0] for warning in caught}
-    for i, (run, altered) in enumerate(waiting):
+    cases = [altered for _, altered in waiting if isinstance(altered, Case)]
+    results: Iterator[RefineResult | TsoError] = iter(())
+    if isinstance(way, Variant) and cases:
+        results = iter(refine_batch([(case.initial, case.views) for case in cases], config))
+    for run, altered in waiting:
         if isinstance(altered, TsoError):
-            yield Outcome(run, refusal=str(altered))
+            yield Outcome(run, findings=findings_of(altered))
         elif isinstance(way, Variant):
-            yield _of_result(run, altered, next(results), f"run {i}" in warned)
+            yield outcome_of(run, altered, next(results))
         else:
             yield _of_peer(run, altered, way)
 
 
-def _of_result(run: Run, altered: Case, result: Any, warned: bool) -> Outcome:
+def outcome_of(run: Run, altered: Case, result: Any) -> Outcome:
+    """What became of a run with this result or error."""
+    findings = findings_of(result)
     if isinstance(result, TsoError):
-        return Outcome(run, refusal=str(result))
-    said = WARNED if warned or result.warnings else SILENT
-    if uninterrupted(result).verdict == "doubtful" or result.suspects:
+        return Outcome(run, findings=findings)
+    words = Words([view.name for view in result.views])
+    said = WARNED if words.warnings(result) else SILENT
+    if uninterrupted(result).trust.verdict == "doubtful" or findings:
         said = DOUBTFUL
-    if not np.isfinite(result.points).all() or result.stop_reason == "non_finite":
+    if not np.isfinite(result.points).all() or result.fit.stop_reason == "non_finite":
         said = NON_FINITE
-    return Outcome(run, said, altered, result.points, result, sum(result.seconds.values()))
+    took = sum(result.cost.seconds.values())
+    return Outcome(run, said, altered, result.points, result, took, findings)
 
 
 def _of_peer(run: Run, altered: Case, peer: Peer) -> Outcome:
     begun = time.perf_counter()
     try:
         moved = peer(altered.initial, altered.views)
-    except TsoError as error:
-        return Outcome(run, refusal=str(error))
+    except TsoError:
+        return Outcome(run)
     said = SILENT if np.isfinite(moved).all() else NON_FINITE
     return Outcome(run, said, altered, moved, took=time.perf_counter() - begun)

@@ -1,7 +1,9 @@
-"""How much nearer to the truth a refinement comes, and how often further away: every preset and variant on unseen shapes."""
+"""How much nearer to the truth a refinement comes, and how often it does harm, on unseen shapes."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -13,25 +15,12 @@ from ...errors import InputError
 from ...evaluation.footprint import IOU_MEANS
 from ...evaluation.metrics import chamfer, f_score
 from ...geometry.points import Array
-from ...io.output import check_output
 from ...network.model import BaseNetwork
-from ..charts import Panel, draw_cases, draw_ratios
-from ..study import (
-    CHECKPOINT,
-    COMMON,
-    DEVICE,
-    VIEWS,
-    Cases,
-    Option,
-    Plan,
-    Progress,
-    Record,
-    Study,
-    Table,
-    claim,
-    part,
-)
-from .cases import JUDGED, KINDS, LEVELS, SAMPLES, Case, CaseBuilder, kinds_of
+from .. import options
+from ..charts import Panel, draw_ratios, pictures_at
+from ..options import Option
+from ..study import Cases, Plan, Progress, Record, Study, Table, claim
+from .cases import KINDS, LEVELS, Case, CaseBuilder, kinds_of
 from .refining import (
     COMBINED,
     DEFAULT,
@@ -49,41 +38,35 @@ from .shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
 from .summary import grouped, interval, mean, ratio_figures, ratios_of, rounded, summarised
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
-GROUP = 32
-"""Cases that are refined in one call."""
-STARTS = (
-    "Where the starts are from. May be repeated.  [default: all; with --ablation all but right]"
-)
+# Name -> pixels of the masks each way, points of the clouds. The first is the plain one.
+SCALES = {
+    "64 px": (64, 1024),
+    "128 px": (128, 1024),
+    "256 px": (256, 1024),
+    "256 px, 16,384 points": (256, 16_384),
+}
+CASES_A_CALL = 32
+STARTS = "Kind of start. May be repeated.  [default: all; with --ablation all but right]"
 F_THRESHOLD = 0.02
-# Of a row of the table, beside Chamfer.
-FIGURES = (
-    "mean_ratio",
-    "median_ratio",
-    "worst_ratio",
-    "worse",
-    "floor_ratio",
-    "start_f_score",
-    "f_score",
-    "iou_before",
-    "iou",
-)
 # Mean Chamfer after / before that is aimed at, one random 64x64 mask, starts from other shapes.
 AIMS = {
     "chair": {DEFAULT: 0.50, NO_SYMMETRY: 0.75, TWO_MASKS: 0.40},
     "airplane": {DEFAULT: 0.40, NO_SYMMETRY: 0.60, TWO_MASKS: 0.30},
     "car": {DEFAULT: 0.80, NO_SYMMETRY: 0.87, TWO_MASKS: 0.70},
 }
-# Already right stays right: mean and worst ratio of starts near the sampling floor.
+# Aims for starts near the truth: mean and worst ratio.
 NEAR_MEAN, NEAR_WORST = 1.00, 1.05
-# Times the level of such starts: one further off is not near.
+# A start counts as near up to this many times its category's level.
 NEAR_ENOUGH = 1.5
-# Over everything: share of cases made worse, and the worst of them.
+# Aims over everything: share of cases made worse, and the worst ratio.
 WORSE_SHARE, WORST = 0.02, 1.05
+# Aims of the network modes: gain over the paper's settings, and mean ratio of the best combination.
 NETWORK_TIMES, NETWORK_BEST = 2.0, 0.75
 CONVENTION = {
-    "chamfer": "squared distances, mean over points, forward + backward, longest side 1; to as many target points",
-    "f_score": f"share of points with a counterpart nearer than {F_THRESHOLD}, harmonic mean of both directions, 16,384 target "
-    "points",
+    "chamfer": "squared distances, mean over points, forward + backward, longest side 1; to as "
+    "many target points",
+    "f_score": f"share of points with a counterpart nearer than {F_THRESHOLD}, harmonic mean of "
+    "both directions, 16,384 target points",
     "iou": IOU_MEANS,
     "floor": "Chamfer distance of another sampling of the true surface",
 }
@@ -97,104 +80,96 @@ def plan(
     split: Path | None,
     pictures: Path | None,
     kinds: tuple[str, ...],
+    variants_of: Callable[[str, bool], dict[str, Variant]] = variants_of,
     **settings: Any,
 ) -> Plan:
-    """Refine every case of every kind with every variant, and judge it against the truth.
+    """Refine every case of every kind with every variant, and compare it with the truth.
 
     Raises InputError where there are no such cases.
     """
-    if pictures is not None:
-        check_output(pictures, progress.overwrite)
-    kinds = kinds or tuple(kind for kind in KINDS if kind != "right" or not settings["ablation"])
-    categories, points = settings["categories"], settings["points"]
+    ablation, sizes = settings["ablation"], settings["sizes"]
+    if sizes:
+        kinds = kinds or ("other",)
+    kinds = kinds or tuple(kind for kind in KINDS if kind != "right" or not ablation)
+    categories = settings["categories"]
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     network, about = view_aligned_network(checkpoint) if "network" in kinds else (None, None)
-    if not JUDGED <= points <= SAMPLES:
-        raise InputError(f"points is {points}, expected {JUDGED} to {SAMPLES}")
-    if about is not None and about.points != points:
-        raise InputError(
-            f"points is {points}, expected {about.points}, as many as the network predicts, for kind network"
-        )
-    builder = CaseBuilder(
-        meshes, split, settings["views"], settings["size"], points, settings["seed"], network, about
-    )
-    variants = {kind: variants_of(kind, settings["ablation"]) for kind in kinds}
-    settings |= {
-        "categories": list(categories),
-        "kinds": list(kinds),
-        "shapes": [shape.name for shape in shapes],
+    scales = SCALES if sizes else dict(list(SCALES.items())[:1])
+    for _, points in scales.values():
+        if about is not None and about.points != points:
+            found = f"{checkpoint}: predicts {about.points} points"
+            raise InputError(f"{found}, expected {points} for kind network")
+    views, seed = settings["views"], settings["seed"]
+    plain = CaseBuilder(meshes, split, views, *SCALES["64 px"], seed, network, about)
+    builders = {
+        name: replace(plain, size=size, points=points) for name, (size, points) in scales.items()
     }
+    variants = {kind: variants_of(kind, ablation) for kind in kinds}
+    settings |= {"categories": list(categories), "kinds": list(kinds)}
+    settings |= {"shapes": [shape.name for shape in shapes]}
     settings["network"] = weights_hash(network) if network else None
     settings["variants"] = {kind: list(of_kind) for kind, of_kind in variants.items()}
 
-    def judge(kind: str, group: list[Shape]) -> Cases:
+    def refine_group(shared: Record, kind: str, group: list[Shape]) -> Cases:
+        builder = builders[shared.get("scale", "64 px")]
         cases = [case for shape in group for case in builder.cases(shape, kind)]
-        return judge_group(cases, variants[kind], settings["device"], network)
+        rows = refine_cases(cases, variants[kind], settings["device"], network)
+        return [{**({"scale": shared["scale"]} if sizes else {}), **row} for row in rows]
 
-    jobs, size = [], max(1, GROUP // settings["views"])
-    for category in categories:
+    jobs, at_once = [], max(1, CASES_A_CALL // views)
+    for scale, category in product(scales, categories):
         members = [shape for shape in shapes if shape.category == category]
-        for kind, start in product(kinds_of(category, kinds), range(0, len(members), size)):
-            group = members[start : start + size]
-            jobs.append(({"kind": kind, "shape": group[0].name}, partial(judge, kind, group)))
+        for kind, start in product(kinds_of(category, kinds), range(0, len(members), at_once)):
+            group = members[start : start + at_once]
+            shared = {"kind": kind, "shape": group[0].name}
+            shared |= {"scale": scale} if sizes else {}
+            jobs.append((shared, partial(refine_group, shared, kind, group)))
     if not jobs:
-        raise InputError(
-            f"kinds are {', '.join(kinds)}, expected some that {', '.join(categories)} have"
-        )
+        expected = f"expected some that {', '.join(categories)} have"
+        raise InputError(f"kinds are {', '.join(kinds)}, {expected}")
 
-    def draw_extremes(record: Record) -> None:
-        if pictures is not None:
-            draw_cases(pictures, _extremes(record, builder, shapes), progress.overwrite)
-
-    return Plan(settings, jobs, finish=draw_extremes)
+    default = variants_of(kinds[0], ablation)[DEFAULT]
+    extremes = partial(_extremes, builder=plain, shapes=shapes, variant=default)
+    return Plan(settings, jobs, finish=pictures_at(pictures, progress.overwrite, extremes))
 
 
-def judge_group(
+def refine_cases(
     cases: list[Case], variants: dict[str, Variant], device: str, network: BaseNetwork | None
 ) -> Cases:
     """Refine cases of one kind and category with every variant."""
     records: Cases = []
     for case in cases:
         names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view")}
-        records.append(
-            {
-                **names,
-                "before": rounded({**_scores(case.initial, case), "floor": case.floor}),
-                "variants": {},
-            }
-        )
+        before = rounded({**_distances(case.initial, case), "floor": case.floor})
+        records.append({**names, "before": before, "variants": {}})
     for name, variant in variants.items():
         results = refined(cases, variant, device, network)
         for case, record, result in zip(cases, records, results, strict=True):
-            row = {
-                **_scores(result.points, case),
-                "iou_before": result.iou_before,
-                "iou": result.iou_after,
-            }
-            record["variants"][name] = rounded(row)
+            ious = {"iou_before": result.fit.iou_before, "iou": result.fit.iou_after}
+            record["variants"][name] = rounded({**_distances(result.points, case), **ious})
     return records
 
 
-def _scores(points: Array, case: Case) -> dict[str, float]:
+def _distances(points: Array, case: Case) -> dict[str, float]:
     distance, score = chamfer(points, case.target), f_score(points, case.dense, F_THRESHOLD)
     return {"chamfer": distance.chamfer, "f_score": score.f_score}
 
 
 def _extremes(
-    record: Record, builder: CaseBuilder, shapes: list[Shape]
+    record: Record, builder: CaseBuilder, shapes: list[Shape], variant: Variant
 ) -> list[tuple[str, Case, Array]]:
-    """Worst and median case of each category under the default preset, refined once more: (title, case, points).
+    """(title, case, points) of the worst and the median case of each category, refined once more.
 
-    They are of the first kind in ``record``.
+    They are of the first kind in ``record`` and of the plain scale; ``variant`` is the default.
     """
     by_name = {shape.name: shape for shape in shapes}
-    kind, cases_of_kind = next(iter(grouped(record["cases"], "kind").items()))
-    variant = variants_of(kind, record["settings"]["ablation"])[DEFAULT]
+    cases = [case for case in record["cases"] if case.get("scale", "64 px") == "64 px"]
+    kind, cases_of_kind = next(iter(grouped(cases, "kind").items()))
     rows = []
     for category, cases in grouped(cases_of_kind, "category").items():
         ratios = ratios_of(cases, DEFAULT)
         order = np.argsort(ratios)[::-1]
-        # A single case has one place.
+        # A single case is the worst one.
         for place, name in {order[len(order) // 2]: "median", order[0]: "worst"}.items():
             shape = by_name[cases[place]["shape"]]
             case = builder.cases(shape, kind)[cases[place]["view"]]
@@ -205,22 +180,38 @@ def _extremes(
 
 
 def conclude(cases: Cases) -> Record:
-    """{"summary": {kind: {category: {"cases", "before", "variants": {variant: {...}}}}}, "claims"}; of an ablation none."""
+    """{"summary": {kind or scale: {category: {"cases", "before", "variants"}}}, "claims"}.
+
+    An ablation and a comparison of scales make no claims.
+    """
+    if "scale" in cases[0]:
+        return {"summary": summarised(cases, ("scale", "category"), _means), "claims": []}
     summary = summarised(cases, ("kind", "category"), _means)
-    return {
-        "summary": summary,
-        "claims": claims(cases, summary) if TWO_MASKS in cases[0]["variants"] else [],
-    }
+    ablation = TWO_MASKS not in cases[0]["variants"]
+    return {"summary": summary, "claims": [] if ablation else claims(cases, summary)}
+
+
+def _means(cases: Cases) -> Record:
+    before = {key: mean(case["before"][key] for case in cases) for key in ("chamfer", "f_score")}
+    floors = (case["before"]["floor"] / case["before"]["chamfer"] for case in cases)
+    before["floor_ratio"] = mean(floors)
+    variants = {}
+    for name in cases[0]["variants"]:
+        rows = [case["variants"][name] for case in cases]
+        keys = ("chamfer", "f_score", "iou_before", "iou")
+        means = {key: mean(row[key] for row in rows) for key in keys}
+        variants[name] = rounded(means | ratio_figures(ratios_of(cases, name)))
+    return {"cases": len(cases), "before": before, "variants": variants}
 
 
 def claims(cases: Cases, summary: Record) -> list[Record]:
-    """The targets, whether they are met, and the figures that say so; only of kinds that were studied."""
+    """The targets, whether they are met, and the figures; only of kinds that were studied."""
     kinds = grouped(cases, "kind")
     answers = []
     if "other" in kinds:
         answers += [*_aims(summary["other"]), _beyond_the_paper(kinds["other"])]
     answers += _stays_right(grouped(kinds.get("near", []), "category"))
-    # What starts at the floor can only get worse.
+    # A start at the floor can only get worse.
     starts = {kind: group for kind, group in kinds.items() if kind != "right"}
     if starts:
         groups = {
@@ -228,19 +219,15 @@ def claims(cases: Cases, summary: Record) -> list[Record]:
             for kind, group in starts.items()
             for variant in MASKS
         }
-        # The many that two and four masks hardly ever harm must not hide what one does.
+        # Two and four masks hardly ever do harm; they must not hide the harm of one mask.
         one_mask = np.concatenate([ratios_of(group, DEFAULT) for group in starts.values()])
-        share = float((one_mask > 1.0).mean())
-        answers.append(
-            _rarely_worse("points mode, all starts, with one, two and four masks", groups, share)
-        )
+        what = "points mode, all starts, with one, two and four masks"
+        answers.append(_rarely_worse(what, groups, float((one_mask > 1.0).mean())))
     if "network" in kinds:
         names = (*(f"{mode}, {DEFAULT}" for mode in NETWORK_MODES), *COMBINED)
         groups = {name: ratios_of(kinds["network"], name) for name in names}
-        answers += [
-            _rarely_worse("network modes, and points mode after them", groups),
-            *_network(kinds["network"]),
-        ]
+        answers.append(_rarely_worse("network modes, and points mode after them", groups))
+        answers += _network(kinds["network"])
     return answers
 
 
@@ -248,11 +235,13 @@ def _aims(summary: Record) -> list[Record]:
     answers = []
     for category in (name for name in AIMS if name in summary):
         variants, floor = summary[category]["variants"], summary[category]["before"]["floor_ratio"]
+        against = (
+            f"the paper's preset {variants[PAPER]['mean_ratio']:.3f}, sampling floor {floor:.2f}"
+        )
         for variant, aim in AIMS[category].items():
-            ratio = variants[variant]["mean_ratio"]
-            text = f"{ratio:.3f}; the paper's preset {variants[PAPER]['mean_ratio']:.3f}, sampling floor {floor:.2f}"
+            ratio, text = variants[variant]["mean_ratio"], f"{category}: {variant}: mean ratio"
             answers.append(
-                claim(f"{category}: {variant}: mean ratio at most {aim:.2f}", ratio <= aim, text)
+                claim(f"{text} at most {aim:.2f}", ratio <= aim, f"{ratio:.3f}; {against}")
             )
     return answers
 
@@ -265,213 +254,149 @@ def _beyond_the_paper(cases: Cases) -> Record:
             gained = ratios_of(group, variant) - ratios_of(group, PAPER)
             highest.append(interval([case["shape"] for case in group], gained)[1])
             texts.append(f"{category}, {variant} {gained.mean():+.3f}, at most {highest[-1]:+.3f}")
-    text = (
-        "every column lies below the paper's preset in every category (95 % interval over shapes)"
-    )
-    return claim(text, max(highest) < 0.0, "; ".join(texts))
+    text = "every column lies below the paper's preset in every category"
+    return claim(f"{text} (95 % interval over shapes)", max(highest) < 0.0, "; ".join(texts))
 
 
 def _stays_right(by_category: dict[str, Cases]) -> list[Record]:
     answers = []
     for category, level in LEVELS["near"].items():
-        near = [
-            case
-            for case in by_category.get(category, [])
-            if case["before"]["chamfer"] <= NEAR_ENOUGH * level
-        ]
+        most = NEAR_ENOUGH * level
+        near = [case for case in by_category.get(category, []) if case["before"]["chamfer"] <= most]
         if near:
             ratios = ratios_of(near, DEFAULT)
-            text = f"{category} near the truth: mean ratio at most {NEAR_MEAN:.2f}, worst at most {NEAR_WORST:.2f}"
+            text = f"{category} near the truth: mean ratio at most {NEAR_MEAN:.2f}"
+            text += f", worst at most {NEAR_WORST:.2f}"
             holds = ratios.mean() <= NEAR_MEAN and ratios.max() <= NEAR_WORST
-            figures = f"{ratios.mean():.3f}, {ratios.max():.3f}; {len(near)} cases up to {1e3 * NEAR_ENOUGH * level:.1f} off"
-            answers.append(claim(text, holds, figures))
+            figures = f"{ratios.mean():.3f}, {ratios.max():.3f}; {len(near)} cases"
+            answers.append(
+                claim(text, holds, f"{figures} with Chamfer x1000 up to {1e3 * most:.1f}")
+            )
     return answers
 
 
 def _rarely_worse(what: str, groups: dict[str, np.ndarray], share: float = 0.0) -> Record:
-    """``groups`` : label -> ratios; ``share`` : of a group that may not be hidden by the others."""
+    """``groups`` : label -> ratios; ``share`` : of a group that the others may not hide."""
     ratios = np.concatenate(list(groups.values()))
     of_all = float((ratios > 1.0).mean())
     figures = [f"{100.0 * of_all:.1f} % of {len(ratios)}, worst {ratios.max():.3f}"]
-    figures += [
-        f"{name}: {(values > 1.0).sum()} of {len(values)}, {values.max():.3f}"
-        for name, values in groups.items()
-    ]
-    text = f"{what}: under {100.0 * WORSE_SHARE:g} % of cases are made worse, none by over {100.0 * (WORST - 1.0):.0f} %"
-    return claim(
-        text, max(share, of_all) < WORSE_SHARE and ratios.max() <= WORST, "; ".join(figures)
-    )
+    for name, values in groups.items():
+        figures.append(f"{name}: {(values > 1.0).sum()} of {len(values)}, {values.max():.3f}")
+    text = f"{what}: under {100.0 * WORSE_SHARE:g} % of cases are made worse"
+    text += f", none by over {100.0 * (WORST - 1.0):.0f} %"
+    holds = max(share, of_all) < WORSE_SHARE and ratios.max() <= WORST
+    return claim(text, holds, "; ".join(figures))
 
 
 def _network(cases: Cases) -> list[Record]:
-    """Relative gains from the network's prediction; the paper has no latent variant, which is held against its best."""
+    """Relative gains from the network's prediction.
+
+    The paper has no latent variant; ours is compared with the best of the paper's.
+    """
     ratio = {name: float(ratios_of(cases, name).mean()) for name in cases[0]["variants"]}
-    theirs = {
-        "points": ratio[PAPER],
-        **{mode: ratio[f"{mode}, {PAPER}"] for mode in NETWORK_MODES if mode != "latent"},
-    }
-    ours = {
-        "points": ratio[DEFAULT],
-        **{mode: ratio[f"{mode}, {DEFAULT}"] for mode in NETWORK_MODES},
-    }
+    papers = [mode for mode in NETWORK_MODES if mode != "latent"]
+    theirs = {"points": ratio[PAPER], **{mode: ratio[f"{mode}, {PAPER}"] for mode in papers}}
     theirs["latent"] = min(theirs.values())
+    ours = {"points": ratio[DEFAULT], **{m: ratio[f"{m}, {DEFAULT}"] for m in NETWORK_MODES}}
     holds = all(
         1.0 - ours[mode] >= NETWORK_TIMES * (1.0 - theirs[mode]) and ours[mode] < 1.0
         for mode in ours
     )
-    text = ", ".join(f"{mode} {theirs[mode]:.3f} to {ours[mode]:.3f}" for mode in ours)
-    combinations = (
-        DEFAULT,
-        NO_SYMMETRY,
-        *COMBINED,
-        *(f"{mode}, {DEFAULT}" for mode in NETWORK_MODES),
-    )
-    best = min(combinations, key=lambda name: ratio[name])
+    text = "from the network's prediction every variant gains at least twice what the paper's "
+    figures = ", ".join(f"{mode} {theirs[mode]:.3f} to {ours[mode]:.3f}" for mode in ours)
+    modes = (f"{mode}, {DEFAULT}" for mode in NETWORK_MODES)
+    best = min((DEFAULT, NO_SYMMETRY, *COMBINED, *modes), key=lambda name: ratio[name])
     best_text = f"the best combination comes to {NETWORK_BEST} or less"
     return [
-        claim(
-            "from the network's prediction every variant gains at least twice what the paper's settings do",
-            holds,
-            text,
-        ),
+        claim(f"{text}settings do", holds, figures),
         claim(best_text, ratio[best] <= NETWORK_BEST, f"{best} {ratio[best]:.3f}"),
     ]
 
 
-def _means(cases: Cases) -> Record:
-    before = {key: mean(case["before"][key] for case in cases) for key in ("chamfer", "f_score")}
-    before["floor_ratio"] = mean(
-        case["before"]["floor"] / case["before"]["chamfer"] for case in cases
-    )
-    variants = {}
-    for name in cases[0]["variants"]:
-        rows = [case["variants"][name] for case in cases]
-        row = {
-            key: mean(row[key] for row in rows)
-            for key in ("chamfer", "f_score", "iou_before", "iou")
-        }
-        variants[name] = rounded(row | ratio_figures(ratios_of(cases, name)))
-    return {"cases": len(cases), "before": before, "variants": variants}
-
-
 def tables(record: Record) -> list[Table]:
-    """What each variant reaches; of an ablation a row an ingredient and a column a kind and category."""
-    groups = [
-        (kind, category, group)
-        for kind, summary in record["summary"].items()
-        for category, group in summary.items()
-    ]
-    if record["settings"]["ablation"]:
-        return [_ablation(groups)]
+    """A row for each variant; of an ablation one table for all categories."""
+    summary = record["summary"]
+    if not record["settings"]["ablation"]:
+        return [_of_categories(summary)]
+    groups = {
+        f"{category}, {kind}": group
+        for kind, of_kind in summary.items()
+        for category, group in of_kind.items()
+    }
+    return [Table(["", *groups], _rows(groups), note=CELLS)]
+
+
+CELLS = "mean of Chamfer after / before (number of cases that got worse, worst ratio); floor: the "
+CELLS += "ratio of another sampling of the truth"
+
+
+def _of_categories(summary: Record) -> Table:
+    """A column for each kind or scale."""
     rows = []
-    for kind, category, group in groups:
-        before = group["before"]
-        for name, row in group["variants"].items():
-            start = [
-                kind,
-                category,
-                group["cases"],
-                name,
-                1e3 * before["chamfer"],
-                1e3 * row["chamfer"],
-            ]
-            figures = {
-                **row,
-                "floor_ratio": before["floor_ratio"],
-                "start_f_score": before["f_score"],
-            }
-            rows.append([*start, *(figures[key] for key in FIGURES)])
-    header = [
-        "kind",
-        "category",
-        "cases",
-        "variant",
-        "before",
-        "after",
-        "ratio",
-        "median",
-        "worst",
-        "worse",
-        "floor",
-    ]
-    note = (
-        "before, after: Chamfer x1000; ratio: after/before, mean of the cases' own; worse: cases over 1; floor: ratio that "
-        "another sampling of the truth has"
-    )
-    return [Table([*header, "F", "after", "IoU", "after"], rows, note=note)]
+    for category in dict.fromkeys(category for of_kind in summary.values() for category in of_kind):
+        groups = {kind: of_kind.get(category) for kind, of_kind in summary.items()}
+        rows += [[category, *row] for row in _rows(groups)]
+    return Table(["category", "variant", *summary], rows, note=CELLS)
 
 
-def _ablation(groups: list[tuple[str, str, Record]]) -> Table:
-    def cell(row: Record) -> str:
-        return f"{row['mean_ratio']:.2f} ({row['worse']}, {row['worst_ratio']:.2f})"
+def _rows(groups: dict[str, Record | None]) -> list[list[str | None]]:
+    """Rows of variants, then of the start; a column for each of ``groups``."""
+    known = [group for group in groups.values() if group]
+    names = dict.fromkeys(name for group in known for name in group["variants"])
 
-    header = ["", *(f"{category}, {kind}" for kind, category, _ in groups)]
-    rows = [
-        [name, *(cell(group["variants"][name]) for *_, group in groups)]
-        for name in groups[0][2]["variants"]
-    ]
+    def row(label: str, cell: Callable[[Record], str | None]) -> list[str | None]:
+        return [label, *(cell(group) if group else None for group in groups.values())]
+
+    def ratios(group: Record, name: str) -> str | None:
+        figures = group["variants"].get(name)
+        return figures and "{mean_ratio:.2f} ({worse}, {worst_ratio:.2f})".format_map(figures)
+
+    rows = [row(name, partial(ratios, name=name)) for name in names]
+    rows.append(row("floor", lambda group: f"{group['before']['floor_ratio']:.2f}"))
     rows.append(
-        [
-            "Chamfer x1000 of the start",
-            *(f"{1e3 * group['before']['chamfer']:.1f}" for *_, group in groups),
-        ]
+        row("start, Chamfer x1000", lambda group: f"{1e3 * group['before']['chamfer']:.1f}")
     )
-    rows.append(["cases", *(str(group["cases"]) for *_, group in groups)])
-    return Table(
-        header, rows, note="mean of Chamfer after / before (cases that got worse, worst case)"
-    )
+    return [*rows, row("cases", lambda group: str(group["cases"]))]
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Ratios of all cases, a row of panels for each kind."""
+    """Ratios of all cases, a row of panels for each kind or scale."""
+    key = "scale" if record["settings"].get("sizes") else "kind"
     grid: list[list[Panel]] = []
-    for kind, of_kind in grouped(record["cases"], "kind").items():
-        groups = grouped(of_kind, "category").items()
-        ratios = {
-            category: {name: ratios_of(cases, name) for name in cases[0]["variants"]}
-            for category, cases in groups
-        }
-        grid.append([Panel(f"{category}, {kind}", rows) for category, rows in ratios.items()])
+    for name, group in grouped(record["cases"], key).items():
+        panels = []
+        for category, cases in grouped(group, "category").items():
+            rows = {variant: ratios_of(cases, variant) for variant in cases[0]["variants"]}
+            panels.append(Panel(f"{category}, {name}", rows))
+        grid.append(panels)
     draw_ratios(path, grid, overwrite)
 
 
+MODE_PARTS = ("network modes, paper", "network modes, best")
 STUDY = Study(
     name="accuracy",
-    about="Starts are another shape's cloud as wrong as a trained network's (other), one near the truth (near), the first "
-    "with an object that the border truncates (cut), the truth sampled once more (right), and the network's prediction "
-    "(network).",
-    parts=(
-        "pictures",
-        "points, paper",
-        "points, best",
-        "network modes, paper",
-        "network modes, best",
-    ),
+    about="Kinds of start: another shape's cloud, about as wrong as a trained network's (other); "
+    "another shape's close to the truth (near); the first with an object that the border truncates "
+    "(cut); the truth sampled again (right); the network's prediction (network).",
+    parts=("pictures", "points, paper", "points, best", *MODE_PARTS),
     tables=tables,
     draw=draw,
-    reading="The default preset is judged by two questions: how much of the error it removes, and how often it adds some. One "
-    "mask says nothing of depth; symmetry and further masks are what reaches beyond it. Two samplings of one surface differ "
-    "too: no ratio can fall below that floor. Starts that are right already show what a refinement costs where there is "
-    "nothing to gain.",
+    reading="Two questions: how much of the error does a refinement remove, and how often does it "
+    "add some? One mask says nothing of depth; a mirror plane and further masks do. Two samplings "
+    "of one surface differ too: no ratio can fall below this floor. Starts that are right already "
+    "show what a refinement costs where nothing is left to gain.",
     convention=CONVENTION,
     options=(
-        *COMMON,
-        CHECKPOINT,
-        part("test"),
-        Option(
-            "--category", "May be repeated.", default=CATEGORIES, multiple=True, name="categories"
-        ),
+        *options.COMMON,
+        options.CHECKPOINT,
+        options.part("test"),
+        options.categories(*CATEGORIES),
         Option("--kind", STARTS, str, (), KINDS, multiple=True, name="kinds"),
-        VIEWS,
-        Option("--size", "Of the masks, pixels each way.", int, 64, least=16, most=1024),
-        Option("--points", "Of initial and target clouds, 1024 to 16384.", int, 1024),
+        options.views(2),
         Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
-        Option(
-            "--pictures",
-            "Draw the worst, the median and the best case of each category here (.png).",
-            Path,
-        ),
-        DEVICE,
+        Option("--sizes", f"Compare {'; '.join(SCALES)}.  Kind other unless given.", bool, False),
+        options.pictures("the worst and the median case of each category"),
+        options.DEVICE,
     ),
     plan=plan,
     conclude=conclude,

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ... import render
 from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.camera import CANONICAL_ROTATION
@@ -17,29 +18,29 @@ from ...geometry.points import Array, farthest_point_sample, sample_surface
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
-from ...render import (
-    RayScene,
-    RenderSettings,
-    fitting_distance,
-    look_at,
-    render_view,
-    sample_cameras,
-)
+from ...render import RayScene, RenderSettings
 from ...scene.network import network_scene
 from .shapes import Shape, shape_type, shapes_of_part
 
 KINDS = ("other", "near", "cut", "right", "network")
-"""Where the start is from; "cut" is "other" with an object that the border truncates, "right" another sampling of the truth."""
-# The Chamfer distance (longest side 1) that another shape's cloud should have from the truth; a category without one starts
-# from its most similar training shape.
+"""Where the start is from:
+
+- other: another shape of the category, about as wrong as a trained network's prediction;
+- near: another shape close to the truth;
+- cut: as other, and the border of the picture truncates the object;
+- right: another sampling of the truth;
+- network: the network's prediction.
+"""
+# Chamfer distance (longest side 1) from another shape's cloud to the truth that is aimed at. A
+# category without one starts from its most similar training shape.
 LEVELS = {"other": {"airplane": 2.0e-3, "car": 1.6e-3}, "near": {"airplane": 0.4e-3, "car": 0.8e-3}}
 LEVELS["cut"] = LEVELS["other"]
-SAMPLES, JUDGED = 16_384, 1024
-"""Points of a surface, and how many of them say which start is how far off."""
+SAMPLES, COMPARED = 16_384, 1024
+"""Points of a surface, and how many of them are compared to choose a start."""
 MASKS = 4
-"""Of each case. The network sees one picture; the other masks of its cases are from known cameras."""
+"""Of each case. The network sees one picture; its further masks are from known cameras."""
 TRUNCATING_DISTANCE = 0.75
-"""Of the camera of kind "cut", of that from which the whole object is seen."""
+"""Distance of the camera of kind "cut", over that from which the whole object is seen."""
 PICTURE = 128
 """Pixels each way of the picture that the network's crop is cut from."""
 
@@ -51,10 +52,10 @@ class Case:
     Attributes
     ----------
     category, shape : of the truth; start : the shape that the initial cloud is from.
-    initial, target : [N, 3]; dense : [16384, 3], more points of the target. Longest side 1, centred; of kind "network" turned
-        into the axes of the camera.
+    initial, target : [N, 3]; dense : [16384, 3], more points of the target. Longest side 1,
+        centred; of kind "network" turned into the axes of the camera.
     views : the first is the case's own, the others are further masks.
-    floor : Chamfer distance of another sampling of the truth to ``target``.
+    floor : Chamfer distance from another sampling of the truth to ``target``.
     image : [3, 64, 64], what the network saw.
     colours : [N, 3] in [0, 1] of ``initial``, for views that have photos.
     """
@@ -75,10 +76,10 @@ class Case:
 
 @dataclass(frozen=True, eq=False)
 class CaseBuilder:
-    """Makes the cases of any shape; everything random depends on the seed and the shape's name alone.
+    """Makes the cases of any shape; all random numbers depend on seed and shape's name alone.
 
-    ``folder`` and ``split_file`` are those of `shapes_of_part`, whose list "train" has the starts; ``size`` is that of the
-    masks, in pixels; kind "network" needs the view-aligned ``network``.
+    ``folder`` and ``split_file`` are those of `shapes_of_part`; starts come from its list "train".
+    ``size`` is the size of the masks in pixels. Kind "network" needs the view-aligned ``network``.
     """
 
     folder: Path
@@ -95,58 +96,45 @@ class CaseBuilder:
         """The cases of one shape, one for each of the views."""
         mesh = shape.mesh()
         rng = self._rng(shape, "truth")
-        dense, resampled = (
-            sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng) for _ in range(2)
-        )
+        dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
+        resampled = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
         target, initial = _subset(dense, self.points), _subset(resampled, self.points)
         floor = chamfer(initial, target).chamfer
         scene, rng = RayScene(mesh), self._rng(shape, kind)
         start = {"right": "the truth", "network": "prediction"}.get(kind, "")
         if not start:
-            start, initial = self._start(
-                shape, _subset(dense, JUDGED), LEVELS[kind].get(shape.category, 0.0)
-            )
-        # Each view has the next three beside it; `_predicted` makes those of a network's case.
-        count = 0 if kind == "network" else self.views + MASKS - 1
-        views = [self._view(shape, number, scene, kind == "cut", rng) for number in range(count)]
-        cases = []
-        for number in range(self.views):
-            beside = tuple(views[number : number + MASKS])
-            case = Case(
-                kind,
-                shape.category,
-                shape.name,
-                number,
-                start,
-                initial,
-                target,
-                dense,
-                beside,
-                floor,
-            )
-            cases.append(self._predicted(case, shape, scene, rng) if kind == "network" else case)
-        return cases
+            level = LEVELS[kind].get(shape.category, 0.0)
+            start, initial = self._start(shape, _subset(dense, COMPARED), level)
+        names = (kind, shape.category, shape.name)
+
+        def case(number: int, *views: View) -> Case:
+            return Case(*names, number, start, initial, target, dense, views, floor)
+
+        if kind == "network":
+            cases = map(case, range(self.views))
+            return [self._predicted(case, shape, scene, rng) for case in cases]
+        # The three views after its own are a case's further masks.
+        numbers = range(self.views + MASKS - 1)
+        views = [self._view(shape, number, scene, kind == "cut", rng) for number in numbers]
+        return [case(number, *views[number : number + MASKS]) for number in range(self.views)]
 
     def _rng(self, shape: Shape, purpose: str) -> np.random.Generator:
-        return np.random.default_rng(
-            [self.seed, zlib.crc32(shape.name.encode()), zlib.crc32(purpose.encode())]
-        )
+        words = (zlib.crc32(word.encode()) for word in (shape.name, purpose))
+        return np.random.default_rng([self.seed, *words])
 
     def _start(self, shape: Shape, target: Array, level: float) -> tuple[str, Array]:
-        """The training shape of another type whose distance from the truth is nearest to ``level``: its name and cloud."""
+        """Name and cloud of a training shape of another type, about ``level`` from the truth."""
         if shape.category not in self._starts:
             starts = self._starts[shape.category] = []
             for training in shapes_of_part(self.folder, self.split_file, "train", [shape.category]):
-                mesh = training.mesh()
-                samples = sample_surface(
-                    mesh.vertices, mesh.faces, SAMPLES, self._rng(training, "truth")
-                )
-                starts.append((training, samples, _subset(samples, JUDGED)))
-        object_type = shape_type(shape.path.stem)
+                mesh, rng = training.mesh(), self._rng(training, "truth")
+                samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
+                starts.append((training, samples, _subset(samples, COMPARED)))
+        own_type = shape_type(shape.path.stem)
         candidates = [
             start
             for start in self._starts[shape.category]
-            if shape_type(start[0].path.stem) != object_type
+            if shape_type(start[0].path.stem) != own_type
         ]
         if not candidates:
             found = f"no {shape.category} of another type is in the list train"
@@ -160,34 +148,33 @@ class CaseBuilder:
         self, shape: Shape, number: int, scene: RayScene, truncated: bool, rng: np.random.Generator
     ) -> View:
         settings = RenderSettings(views=1, size=(self.size, self.size))
+        vertices = scene.mesh.vertices
         while True:
             if truncated:
                 angles = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
-                whole = fitting_distance(scene.mesh.vertices, look_at(*angles, 1.0, settings.size))
-                camera = look_at(*angles, TRUNCATING_DISTANCE * whole, settings.size)
+                unit = render.look_at(*angles, 1.0, settings.size)
+                distance = TRUNCATING_DISTANCE * render.fitting_distance(vertices, unit)
+                camera = render.look_at(*angles, distance, settings.size)
             else:
-                (camera,) = sample_cameras(settings, scene.mesh.vertices, rng)
-            mask = render_view(scene, camera, rng).mask
+                (camera,) = render.sample_cameras(settings, vertices, rng)
+            mask = render.render_view(scene, camera, rng).mask
             border = np.concatenate([mask[[0, -1]].ravel(), mask[:, [0, -1]].ravel()])
-            # From its narrow side a long object fits the picture from nearer too: then another direction is drawn.
+            # Seen from its narrow side, a long object may fit: then another direction is drawn.
             if not truncated or border.max() > 127:
-                return View(
-                    mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, mask {number}"
-                )
+                foreground = mask.astype(np.float32) / 255.0
+                return View(foreground, camera, name=f"{shape.name}, mask {number}")
 
     def _predicted(
         self, case: Case, shape: Shape, scene: RayScene, rng: np.random.Generator
     ) -> Case:
-        """The network's prediction from a picture, before a camera whose distance from the object is known."""
+        """The network's prediction from a picture, with a camera at the true distance."""
         assert self.network is not None
         assert self.about is not None
-        (camera,) = sample_cameras(
-            RenderSettings(views=1, size=(PICTURE, PICTURE)), scene.mesh.vertices, rng
-        )
-        picture = render_view(scene, camera, rng)
-        view = View(
-            picture.mask.astype(np.float32) / 255.0, camera, name=f"{shape.name}, view {case.view}"
-        )
+        settings = RenderSettings(views=1, size=(PICTURE, PICTURE))
+        (camera,) = render.sample_cameras(settings, scene.mesh.vertices, rng)
+        picture = render.render_view(scene, camera, rng)
+        foreground = picture.mask.astype(np.float32) / 255.0
+        view = View(foreground, camera, name=f"{shape.name}, view {case.view}")
         predicted = network_scene(picture.image, view, self.network, self.about, placing="camera")
         turn = (CANONICAL_ROTATION @ camera.R).T
         # A generator for each view: the number of views changes none of them.
@@ -196,20 +183,22 @@ class CaseBuilder:
         turned = [
             replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in views
         ]
-        clouds = {
-            "initial": predicted.points,
-            "target": case.target @ turn,
-            "dense": case.dense @ turn,
-        }
-        return replace(case, views=(predicted.view, *turned), image=predicted.image, **clouds)
+        return replace(
+            case,
+            initial=predicted.points,
+            target=case.target @ turn,
+            dense=case.dense @ turn,
+            views=(predicted.view, *turned),
+            image=predicted.image,
+        )
 
 
 def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:
-    """Those of ``kinds`` that there are for a category."""
-    near, known = category in LEVELS["near"], category in CATEGORIES
-    return [kind for kind in kinds if (kind != "near" or near) and (kind != "network" or known)]
+    """The ``kinds`` of cases that a category has."""
+    limited = {"near": LEVELS["near"], "network": CATEGORIES}
+    return [kind for kind in kinds if kind not in limited or category in limited[kind]]
 
 
 def _subset(samples: Array, count: int) -> Array:
-    """So many of ``samples`` [S, 3], spread evenly."""
+    """``count`` of ``samples`` [S, 3], spread evenly."""
     return samples if count == len(samples) else samples[farthest_point_sample(samples, count)]

@@ -19,16 +19,17 @@ from ...render.rays import AMBIENT, RAYS_ACROSS
 from .cases import SAMPLES, Case
 from .shapes import Shape
 
-# Fewer than these, once a part of the object is gone, make no case.
+# An object that lacks a part needs as many faces, and its masks as many pixels, to make a case.
 FEWEST_FACES, FEWEST_PIXELS = 20, 50
-# Waves of a paint, and their lengths (longest side 1): stripes and patches of the size of a window or a cheat line, up to whole
-# parts in one colour.
+# Waves of a paint, and their lengths (longest side 1): from stripes of the width of a window to
+# whole parts in one colour.
 WAVES, SHORTEST, LONGEST = 12, 0.1, 1.0
-# How sharp the edges between two colours are.
 SHARPNESS = 4.0
-# Waves by which a cloud is bent, and their lengths.
-BENDS, BEND_LENGTHS = 6, (0.8, 2.0)
-HALVINGS = 25
+"""Of the edges between two colours."""
+# Waves that bend a cloud, their lengths, and the halvings that find how far.
+BENDS, BEND_LENGTHS, HALVINGS = 6, (0.8, 2.0), 25
+# Where a part begins beyond the mirror plane and, of half a side, above or below (longest side 1).
+SIDE, HALF_SIDE, HIGH, LOW = 0.12, 0.03, 0.0, -0.1
 
 Rng = np.random.Generator
 Paint = Callable[[Array], Array]
@@ -58,35 +59,28 @@ def unaltered(case: Case, truth: Truth, rng: Rng) -> Case:
 
 
 def with_depth(case: Case, truth: Truth, rng: Rng, noise: float = 0.0) -> Case:
-    """Each view with the depth of the true surface at its pixels, and Gaussian noise (longest side 1) on it."""
+    """Each view with the depth of the true surface, and Gaussian ``noise`` (longest side 1)."""
     views = []
     for view in case.views:
         columns, rows = np.arange(view.camera.width), np.arange(view.camera.height)
-        depth = truth.scene.cast(view.camera, columns.astype(float), rows.astype(float))["depth"]
-        views.append(
-            replace(
-                view,
-                depth=np.where(
-                    np.isfinite(depth), depth + noise * rng.normal(size=depth.shape), 0.0
-                ),
-            )
-        )
+        exact = truth.scene.cast(view.camera, columns.astype(float), rows.astype(float))["depth"]
+        noisy = exact + noise * rng.normal(size=exact.shape)
+        views.append(replace(view, depth=np.where(np.isfinite(exact), noisy, 0.0)))
     return replace(case, views=tuple(views))
 
 
 def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
-    """The object lacks "side", "high" or "low" parts on one side of the start's mirror plane; the start has them.
+    """The object lacks a part on one side of the start's mirror plane; the start has it.
 
-    Faces go whose middle lies more than 0.12 beyond the plane through the middle, or more than 0.03 and higher than 0 or lower
-    than -0.1 (longest side 1, y up).
+    ``part`` is "side", or "high" or "low" for the upper or lower half of a side (y up).
     """
-    normal = np.abs(find_mirror_plane(case.initial).normal)
+    normal = np.abs(find_mirror_plane(case.initial).plane.normal)
     middles = truth.mesh.vertices[truth.mesh.faces].mean(1)
     beyond, height = middles[:, 0 if normal[0] >= normal[2] else 2], middles[:, 1]
     gone = {
-        "side": beyond > 0.12,
-        "high": (beyond > 0.03) & (height > 0.0),
-        "low": (beyond > 0.03) & (height < -0.1),
+        "side": beyond > SIDE,
+        "high": (beyond > HALF_SIDE) & (height > HIGH),
+        "low": (beyond > HALF_SIDE) & (height < LOW),
     }[part]
     faces = truth.mesh.faces[~gone]
     if len(faces) < FEWEST_FACES:
@@ -100,17 +94,16 @@ def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
     if min(int((view.mask > 0.5).sum()) for view in views) < FEWEST_PIXELS:
         return None
     dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
-    return replace(
-        case, views=views, dense=dense, target=dense[farthest_point_sample(dense, len(case.target))]
-    )
+    target = dense[farthest_point_sample(dense, len(case.target))]
+    return replace(case, views=views, dense=dense, target=target)
 
 
 def painted(case: Case, truth: Truth, rng: Rng, start: str, exposure: float | None) -> Case:
-    """The object is painted, its photos are taken under a random light, and the cloud has colours of its own.
+    """The object is painted and photographed under a random light; the cloud has colours.
 
-    ``start`` is "bent 2" or "bent 6", the true cloud in the object's own paint, bent by a smooth random field until it is that
-    far off (Chamfer x1000), or "other", the case's own start in another paint. ``exposure`` : how many times as long as
-    needed; None takes no photo.
+    start : "bent 2" or "bent 6", the true cloud in the object's own paint, bent by a smooth random
+        field until it is that far off (Chamfer x1000); or "other", the case's start in other paint.
+    exposure : 1 is as long as needed; None takes no photo.
     """
     paint, other_paint, bend = paint_of(rng), paint_of(rng), _bend_of(rng)
     lights = _directions(rng, (len(case.views),))
@@ -118,34 +111,27 @@ def painted(case: Case, truth: Truth, rng: Rng, start: str, exposure: float | No
         initial, colours = case.initial, other_paint(case.initial)
     else:
         resampled = case.dense[rng.choice(len(case.dense), len(case.target), replace=False)]
-        initial, colours = (
-            _bent(resampled, bend, case.target, 1e-3 * float(start.split()[1])),
-            paint(resampled),
-        )
+        level = 1e-3 * float(start.split()[1])
+        initial, colours = _bent(resampled, bend, case.target, level), paint(resampled)
     views = case.views
     if exposure is not None:
-        photos = [
-            photo(truth.scene, view, paint, light, exposure)
+        views = tuple(
+            replace(view, image=photo(truth.scene, view, paint, light, exposure))
             for view, light in zip(views, lights, strict=True)
-        ]
-        views = tuple(replace(view, image=image) for view, image in zip(views, photos, strict=True))
+        )
     return replace(case, initial=initial, colours=colours, views=views)
 
 
 def paint_of(rng: Rng) -> Paint:
-    """Colours [..., 3] in [0, 1] of places [..., 3]: two of each channel's tones in patches with clear edges."""
+    """Colours [..., 3] in [0, 1] of places [..., 3]: patches of two tones, with clear edges."""
     lengths = np.exp(rng.uniform(np.log(SHORTEST), np.log(LONGEST), (3, WAVES, 1)))
     directions = _directions(rng, (3, WAVES)) * (2.0 * np.pi / lengths)
-    phases, dark, light = (
-        rng.uniform(0.0, 2.0 * np.pi, (3, WAVES)),
-        rng.uniform(0.1, 0.45, 3),
-        rng.uniform(0.55, 0.9, 3),
-    )
+    phases = rng.uniform(0.0, 2.0 * np.pi, (3, WAVES))
+    dark, light = rng.uniform(0.1, 0.45, 3), rng.uniform(0.55, 0.9, 3)
 
     def paint(places: Array) -> Array:
-        waves = np.cos(np.einsum("...k,cwk->...cw", places, directions) + phases).sum(-1) / np.sqrt(
-            WAVES
-        )
+        angles = np.einsum("...k,cwk->...cw", places, directions) + phases
+        waves = np.cos(angles).sum(-1) / np.sqrt(WAVES)
         return np.asarray(dark + (light - dark) * (0.5 + 0.5 * np.tanh(SHARPNESS * waves)))
 
     return paint
@@ -154,7 +140,10 @@ def paint_of(rng: Rng) -> Paint:
 def photo(
     scene: RayScene, view: View, paint: Paint, light: Array, exposure: float = 1.0
 ) -> NDArray[np.float32]:
-    """[H, W, 3] in [0, 1]: the painted mesh under one far ``light`` (unit vector, world axes), on white; 25 rays a pixel."""
+    """[H, W, 3] in [0, 1]: the painted mesh under one far light, on white, 25 rays a pixel.
+
+    ``light`` is a unit vector in the axes of the world.
+    """
     camera = view.camera
     offsets = (np.arange(RAYS_ACROSS) + 0.5) / RAYS_ACROSS - 0.5
     columns, rows = (
@@ -181,7 +170,7 @@ def _bend_of(rng: Rng) -> Callable[[Array], Array]:
 
 
 def _bent(points: Array, bend: Callable[[Array], Array], target: Array, level: float) -> Array:
-    """``points`` moved along ``bend`` until they are ``level`` from ``target``; at once where they are that far already."""
+    """``points`` moved along ``bend`` until they are ``level`` from ``target``."""
     field, low, high = bend(points), 0.0, 0.5
     for _ in range(HALVINGS):
         middle = (low + high) / 2.0

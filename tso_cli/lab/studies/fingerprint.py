@@ -1,4 +1,7 @@
-"""Fingerprints: what the method makes of the shipped examples, in a few numbers, to tell whether a record is of it."""
+"""Fingerprints: a few numbers of what the method makes of the shipped examples.
+
+They show whether a record was made by the method as it is.
+"""
 
 from __future__ import annotations
 
@@ -26,67 +29,61 @@ from ..views import views_around
 from .shapes import Shape, see
 
 Numbers = dict[str, float]
-# Relative. Threads, plain loops, another BLAS or other instructions change a number by 3e-4 at most; but in the stages of the
-# default preset the last bit of a start can choose other nodes, which masks and steps amplify.
+# Relative. Threads, plain loops, another BLAS or other instructions change a number by 3e-4 at
+# most. But in the stages of the default preset the last bit of a start can choose other nodes,
+# and masks and steps amplify the change.
 TOLERANCE, STAGED_TOLERANCES = 0.005, {"Chamfer": 0.02, "IoU": 0.01}
 CHAIR, PLANE = examples_folder() / "chair", examples_folder() / "airplane"
 
 
-def _judged(label: str, result: RefineResult, points: np.ndarray) -> Numbers:
+def _figures(label: str, result: RefineResult, points: np.ndarray) -> Numbers:
     distance = chamfer(points, read_cloud(CHAIR / "target.ply").points).chamfer
-    return {f"{label}: Chamfer": 1e3 * distance, f"{label}: IoU": result.iou_after}
+    return {f"{label}: Chamfer": 1e3 * distance, f"{label}: IoU": result.fit.iou_after}
 
 
 def _points(preset: str) -> Numbers:
-    """The chair with one mask, with four, truncated by the border, and with the depth map of a plane."""
-    scene, truth = (
-        load_points_scene(CHAIR / "initial.ply", CHAIR / "mask.png"),
-        read_cloud(CHAIR / "target.ply").points,
-    )
+    """The chair with one mask, with four, truncated, and with the depth map of a plane."""
+    scene = load_points_scene(CHAIR / "initial.ply", CHAIR / "mask.png")
+    truth = read_cloud(CHAIR / "target.ply").points
     view, camera, numbers = scene.view, scene.view.camera, Numbers()
-    seen = {
-        "one mask": [view],
-        "four masks": views_around(view, truth, np.pi * np.array([0.5, 1.0, 1.5])),
-    }
+    around = views_around(view, truth, np.pi * np.array([0.5, 1.0, 1.5]))
+    seen = {"one mask": [view], "four masks": around}
     seen["truncated"] = [View(view.mask[:, :128], replace(camera, width=128))]
     if preset == "best":
         seen["depth"] = [replace(view, depth=np.full(view.mask.shape, camera.t[2]))]
     for label, views in seen.items():
         result = refine(scene.points, views, config=RefineConfig(preset=preset))
-        numbers |= _judged(label, result, result.points)
+        numbers |= _figures(label, result, result.points)
     return numbers
 
 
 def _network_modes(preset: str) -> Numbers:
     """The shipped network's prediction of the chair after 12 steps of each mode."""
-    scene, numbers = (
-        load_network_scene(
-            CHAIR / "image.png", CHAIR / "mask.png", default_checkpoint(), world=True
-        ),
-        Numbers(),
-    )
+    files = CHAIR / "image.png", CHAIR / "mask.png", default_checkpoint()
+    scene, numbers = load_network_scene(*files, world=True), Numbers()
     for mode in ("encoder", "encoder-decoder", "latent"):
         config = RefineConfig(mode, preset=preset, steps=12)
         result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
-        numbers |= _judged(mode, result, scene.to_output(result.points))
+        numbers |= _figures(mode, result, scene.to_output(result.points))
     return numbers
 
 
 def _camera_fit() -> Numbers:
-    """The fitted camera of the true aeroplane, and its own camera turned by 10 degrees and corrected."""
+    """The fitted camera of the true aeroplane, and its camera turned by 10 degrees, corrected."""
     scene = load_points_scene(PLANE / "target.ply", PLANE / "mask.png")
     points, view, camera = scene.points, scene.view, scene.view.camera
     tilt = from_vectors(np.radians(10.0) * np.array([0.6, 0.64, 0.48]))
     turned = View(silhouette_of(points, camera), replace(camera, R=tilt @ camera.R))
     corrected = refine(points, turned, config=RefineConfig(refine_camera=True)).cameras[0]
-    return {
-        "IoU": fit_camera(points, view.mask).iou,
-        "degrees": float(angle_between(corrected.R, camera.R)),
-    }
+    degrees = float(angle_between(corrected.R, camera.R))
+    return {"IoU": fit_camera(points, view.mask).iou, "degrees": degrees}
 
 
 def _training() -> Numbers:
-    """The loss after three steps under each supervision; at higher rates rounding changes it by several per cent."""
+    """The loss after three steps under each supervision.
+
+    At higher rates rounding changes it by several per cent.
+    """
     masks = TrainConfig("masks", views=1, steps=3, batch_size=3, learning_rate=3e-6)
     configs = {
         "masks": masks,
@@ -103,11 +100,8 @@ def _pictures() -> Numbers:
     """A shipped mesh as the studies render theirs."""
     mesh = CHAIR.parent / "meshes" / "chair" / "q17_Chair.ply"
     shape = see(Shape("chair/q17_Chair", mesh), RenderSettings(views=1), 0)
-    seen = {
-        "mask": shape.views[0].mask,
-        "image": shape.views[0].image,
-        "points": np.abs(shape.target),
-    }
+    view = shape.views[0]
+    seen = {"mask": view.mask, "image": view.image, "points": np.abs(shape.target)}
     return {key: float(values.mean()) for key, values in seen.items()}
 
 
@@ -132,11 +126,9 @@ def differences(record: dict[str, Any]) -> list[str]:
         numbers = today(part) if part in PARTS else {}
         for key in dict.fromkeys((*numbers, *earlier)):
             then, now = earlier.get(key), numbers.get(key)
-            tolerance = (
-                STAGED_TOLERANCES.get(key.split(": ")[-1], TOLERANCE)
-                if part == "points, best"
-                else TOLERANCE
-            )
+            tolerance = TOLERANCE
+            if part == "points, best":
+                tolerance = STAGED_TOLERANCES.get(key.split(": ")[-1], TOLERANCE)
             if then is None or now is None or not abs(then - now) <= tolerance * abs(now):
                 lines.append(f"{part}: {key} {then}, now {now}")
     return lines

@@ -1,9 +1,8 @@
-"""How good is the base network on shapes it has not seen? Beside it, what needs no network: the mean and the nearest shape."""
+"""How good the base network is on unseen shapes, compared with the mean and the nearest shape."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -13,29 +12,22 @@ import torch
 from ...evaluation.metrics import chamfer
 from ...io.checkpoints import load_network
 from ...io.shipped import CATEGORIES
+from ...network.model import BaseNetwork
 from ...train.batches import Draw, assemble
+from ...train.data import TrainingData
+from .. import options
 from ..charts import draw_bars
-from ..study import (
-    CATEGORY,
-    CHECKPOINT,
-    MESHES,
-    SEED,
-    SPLIT,
-    Cases,
-    Plan,
-    Progress,
-    Record,
-    Study,
-    Table,
-)
-from .judging import Floats, Material, mean_shape
-from .shapes import SPLIT as SHIPPED_SPLIT
-from .shapes import weights_hash
+from ..study import Cases, Plan, Progress, Record, Study, Table
+from .material import MEAN_STEPS, Floats, Material, mean_shape
+from .shapes import SPLIT, weights_hash
 from .summary import mean, summarised
 
 PARTS = ("validation", "test")
+MEAN_VIEWS = 8
+"""Of each training shape, for the mean shape in the axes of the view."""
 CONVENTION = {
-    "Chamfer": "squared distances, mean over points, forward + backward; targets of longest side 1, in the view's frame"
+    "Chamfer": "squared distances, mean over points, forward + backward; targets of longest side "
+    "1, in the view's frame"
 }
 LABELS = {
     "network": "network",
@@ -59,81 +51,89 @@ def plan(
     checkpoint: Path,
     categories: tuple[str, ...],
     seed: int,
+    material: Callable[..., Material] = Material,
 ) -> Plan:
-    """Judge a view-aligned network by Chamfer distance on the validation and test shapes of a split, beside three answers.
+    """Compare a view-aligned network with three answers, on the validation and test shapes.
 
-    - ``mean_view``: the mean training shape as the cameras see it: what a network that ignores the picture would learn.
-    - ``mean_aligned``: the mean training shape in the objects' frame, in the best of four quarter turns: the pose is given.
-    - ``nearest``: the nearest training shape in the best of four quarter turns: the best that retrieval could do.
+    - ``mean_view``: the mean training shape as cameras see it; what a network would learn that
+      ignores the picture.
+    - ``mean_aligned``: the mean training shape in the objects' frame; the pose is given.
+    - ``nearest``: the training shape nearest to the truth; the best that retrieval could do.
+
+    The last two are taken in the best of four quarter turns.
     """
     network, _ = load_network(checkpoint)
     materials = {
-        part: Material(meshes, split, part, categories, seed=seed, report=progress.report)
+        part: material(meshes, split, part, categories, seed=seed, report=progress.report)
         for part in PARTS
     }
 
-    def judge(category: str) -> Cases:
+    def compare(category: str) -> Cases:
         training = materials[PARTS[0]].data(category, training=True)
+        rivals = Rivals(training, seed, materials[PARTS[0]].mean_steps)
+        return [
+            {"part": part, "category": category, **row}
+            for part, material in materials.items()
+            for row in rivals.compared(network, material.data(category, training=False))
+        ]
+
+    settings: Record = {"seed": seed, "split": (split or SPLIT).name}
+    settings |= {"network": weights_hash(network)}
+    settings |= {"shapes": {part: material.counts() for part, material in materials.items()}}
+    jobs = [({"category": category}, partial(compare, category)) for category in categories]
+    return Plan(settings, jobs, "comparing")
+
+
+class Rivals:
+    """The answers of a category that need no network."""
+
+    def __init__(self, training: TrainingData, seed: int, steps: int = MEAN_STEPS) -> None:
         draws = [
             Draw(index, view)
             for index, item in enumerate(training.objects)
-            for view in range(min(8, len(item.views)))
+            for view in range(min(MEAN_VIEWS, len(item.views)))
         ]
-        mean_view = mean_shape(assemble(training, draws, "view").targets, seed)
-        clouds = [training.target(i) for i in range(len(training.objects))]
-        mean_aligned = aligned_mean(clouds, seed)
-        cases = []
-        for part, material in materials.items():
-            judged = material.data(category, training=False)
-            for index, item in enumerate(judged.objects):
-                batch = assemble(
-                    judged, [Draw(index, view) for view in range(len(item.views))], "view"
-                )
-                with torch.no_grad():
-                    predicted = network(torch.from_numpy(batch.images)).numpy()
-                pairs = list(zip(predicted, batch.targets, strict=True))
-                case: Record = {"part": part, "category": category, "shape": item.name}
-                case["network"] = mean(chamfer(cloud, target).chamfer for cloud, target in pairs)
-                case["mean_view"] = mean(
-                    chamfer(mean_view, target).chamfer for target in batch.targets
-                )
-                case["mean_aligned"] = nearest_of([mean_aligned], judged.target(index))
-                cases.append({**case, "nearest": nearest_of(clouds, judged.target(index))})
-                progress.report(f"{category}: judging, {part}", index + 1, len(judged.objects))
-        return cases
+        self.mean_view = mean_shape(assemble(training, draws, "view").targets, seed, steps)
+        self.clouds = [training.target(i) for i in range(len(training.objects))]
+        self.mean_aligned = aligned_mean(self.clouds, seed, steps)
 
-    settings = {
-        "seed": seed,
-        "split": (split or SHIPPED_SPLIT).name,
-        "network": weights_hash(network),
-    }
-    settings |= {"shapes": {part: material.counts() for part, material in materials.items()}}
-    return Plan(
-        settings,
-        [({"category": category}, partial(judge, category)) for category in categories],
-        "judging",
-    )
+    def compared(self, network: BaseNetwork, unseen: TrainingData) -> Cases:
+        """For each unseen shape the mean distance of the network over its views, and the rivals."""
+        cases = []
+        for index, item in enumerate(unseen.objects):
+            draws = [Draw(index, view) for view in range(len(item.views))]
+            batch = assemble(unseen, draws, "view")
+            with torch.no_grad():
+                predicted = network(torch.from_numpy(batch.images)).numpy()
+            pairs = zip(predicted, batch.targets, strict=True)
+            case: Record = {"shape": item.name}
+            case["network"] = mean(chamfer(*pair).chamfer for pair in pairs)
+            means = (chamfer(self.mean_view, target).chamfer for target in batch.targets)
+            case["mean_view"] = mean(means)
+            case["mean_aligned"] = nearest_of([self.mean_aligned], unseen.target(index))
+            cases.append({**case, "nearest": nearest_of(self.clouds, unseen.target(index))})
+        return cases
 
 
 def nearest_of(clouds: Sequence[Floats], truth: Floats) -> float:
-    """Chamfer distance from ``truth`` to the nearest of ``clouds``, in the best of four quarter turns."""
+    """Chamfer distance from ``truth`` to the nearest of ``clouds``, in the best quarter turn."""
     return min(chamfer(cloud, truth @ turn).chamfer for cloud in clouds for turn in TURNS)
 
 
-def aligned_mean(targets: Sequence[Floats], seed: int = 0) -> Floats:
-    """The mean shape of ``targets`` in the quarter turns that fit it best; turns and mean alternate three times."""
+def aligned_mean(targets: Sequence[Floats], seed: int = 0, steps: int = MEAN_STEPS) -> Floats:
+    """The mean shape of ``targets`` in their best quarter turns; both alternate three times."""
     result = targets[0]
     for _ in range(3):
-        facing = [[target @ turn for turn in TURNS] for target in targets]
-        result = mean_shape(
-            [min(turned, key=lambda cloud: chamfer(result, cloud).chamfer) for turned in facing],
-            seed,
-        )
+        best = [
+            min((target @ turn for turn in TURNS), key=lambda cloud: chamfer(result, cloud).chamfer)
+            for target in targets
+        ]
+        result = mean_shape(best, seed, steps)
     return result
 
 
 def conclude(cases: Cases) -> Record:
-    """{"summary": {part: {category: {"shapes", "network", "nearest", ...}}}}, means over the shapes."""
+    """{"summary": {part: {category: {"shapes", "network", "nearest", ...}}}}, over the shapes."""
 
     def means(rows: Cases) -> Record:
         return {"shapes": len(rows), **{name: mean(row[name] for row in rows) for name in LABELS}}
@@ -149,18 +149,12 @@ def tables(record: Record) -> list[Table]:
         for part, summary in record["summary"].items()
         for category, row in summary.items()
     ]
-    note = "Chamfer x1000, mean over shapes and views"
-    return [
-        Table(
-            ["list", "category", "shapes", *LABELS.values(), "/ mean, view", "/ nearest"],
-            rows,
-            note=note,
-        )
-    ]
+    header = ["list", "category", "shapes", *LABELS.values(), "/ mean, view", "/ nearest"]
+    return [Table(header, rows, note="Chamfer x1000, mean over shapes and views")]
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Chamfer of the network and of its three rivals, by category, on validation and test shapes."""
+    """Chamfer of the network and of its three rivals, by list and category."""
     panels = {
         f"{part}: mean Chamfer to the truth x1000": {
             category: {label: 1e3 * row[key] for key, label in LABELS.items()}
@@ -173,20 +167,20 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="network",
-    about="Chamfer to the truth, beside the mean training shape and the nearest training shape.",
+    about="Chamfer to the truth, compared with the mean and the nearest training shape.",
     parts=("pictures", "network modes, paper"),
     tables=tables,
     draw=draw,
-    reading="A network that ignored the picture could do no better than the mean shape in its own frame. The nearest training "
-    "shape is the best that retrieval could do, were it told the answer: a network that comes close to it has learnt more "
-    "than to remember.",
+    reading="A network that ignored the picture could do no better than the mean shape in its own "
+    "frame. The nearest training shape is the best that retrieval could do if it knew the answer: "
+    "a network that comes close to it has learnt more than to remember.",
     convention=CONVENTION,
     options=(
-        MESHES,
-        SPLIT,
-        CHECKPOINT,
-        replace(CATEGORY, help="May be repeated.", default=CATEGORIES),
-        SEED,
+        options.MESHES,
+        options.SPLIT,
+        options.CHECKPOINT,
+        options.categories(*CATEGORIES),
+        options.SEED,
     ),
     plan=plan,
     conclude=conclude,

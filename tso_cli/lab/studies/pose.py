@@ -13,8 +13,9 @@ from ...geometry.camera import CANONICAL_FOCAL_AT_64
 from ...geometry.points import Array
 from ...geometry.rotations import angle_between
 from ...plots.style import COLOURS, INK, page
-from ...pose.fit import fit_camera
-from ..study import COMMON, VIEWS, Cases, Plan, Progress, Record, Study, Table, part
+from ...pose.fit import FittedCamera, fit_camera
+from .. import options
+from ..study import Cases, Plan, Progress, Record, Study, Table
 from .cases import Case, CaseBuilder, kinds_of
 from .shapes import Shape, shapes_of_part
 from .summary import grouped, rounded
@@ -27,115 +28,111 @@ CLOUDS = {
 }
 PRIOR = 0.64
 """Of the true focal length: 1.2 times the image's side in place of 1.875."""
-RIGHT = 15.0
-"""Degrees up to which a rotation counts as found."""
+RIGHT_DEGREES = 15.0
+"""Up to this angle a rotation counts as found."""
 CONVENTION = {
     "degrees": "angle between the fitted rotation and the true one",
     "answers": "smallest angle of the fitted pose and its alternatives",
-    "focal": "of the longest focal length that fits as well, and of the shortest, over the true one",
+    "focal": "the shortest and the longest focal length that fit as well, over the true one",
 }
 
 
-def plan(progress: Progress, *, meshes: Path, split: Path | None, **settings: Any) -> Plan:
-    """Fit a camera to one 64x64 mask of each case and compare it with the true one."""
-    shapes = shapes_of_part(meshes, split, settings["part"], CATEGORIES, settings["limit"])
+def plan(
+    progress: Progress,
+    *,
+    meshes: Path,
+    split: Path | None,
+    categories: tuple[str, ...] = CATEGORIES,
+    **settings: Any,
+) -> Plan:
+    """Fit a camera to one 64x64 mask of each case and compare it with the true camera."""
+    shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     builder = CaseBuilder(meshes, split, settings["views"], 64, 1024, settings["seed"])
     settings["shapes"] = [shape.name for shape in shapes]
 
-    def judge_shape(shape: Shape) -> Cases:
+    def fit_shape(shape: Shape) -> Cases:
         kinds = kinds_of(shape.category, tuple(CLOUDS))
-        return [row for kind in kinds for case in builder.cases(shape, kind) for row in judge(case)]
+        cases = [case for kind in kinds for case in builder.cases(shape, kind)]
+        return [row for case in cases for row in fit_case(case)]
 
-    return Plan(
-        settings,
-        [({"shape": shape.name}, partial(judge_shape, shape)) for shape in shapes],
-        "fitting",
-    )
+    jobs = [({"shape": shape.name}, partial(fit_shape, shape)) for shape in shapes]
+    return Plan(settings, jobs, "fitting")
 
 
-def judge(case: Case) -> Cases:
+def fit_case(case: Case) -> Cases:
     """The fitted cameras of the clouds of one case; kind "other" includes the true cloud."""
     view = case.views[0]
     clouds: dict[str, tuple[Array, float | None]] = {CLOUDS[case.kind]: (case.initial, None)}
     if case.kind == "other":
         focal = PRIOR * CANONICAL_FOCAL_AT_64 / 64.0 * view.camera.width
         clouds |= {TRUE: (case.target, None), WRONG_PRIOR: (case.target, focal)}
+    names = {"category": case.category, "shape": case.shape, "view": case.view}
     rows = []
     for name, (cloud, focal_prior) in clouds.items():
         start = time.perf_counter()
         fitted = fit_camera(cloud, view.mask, focal=focal_prior)
         seconds = time.perf_counter() - start
-        answers = [fitted.camera, *(alternative.camera for alternative in fitted.alternatives)]
-        degrees = [float(angle_between(answer.R, view.camera.R)) for answer in answers]
-        shortest, longest = (focal / view.camera.K[0, 0] for focal in fitted.focal_range)
-        figures = {
-            "degrees": degrees[0],
-            "answers": min(degrees),
-            "shortest": shortest,
-            "longest": longest,
-            "seconds": seconds,
-        }
-        names = {"cloud": name, "category": case.category, "shape": case.shape, "view": case.view}
-        rows.append({**names, "sure": fitted.sure, **rounded(figures)})
-    return rows
+        rows.append({"cloud": name, **names, **figures(case, fitted), "seconds": seconds})
+    return [rounded(row) for row in rows]
+
+
+def figures(case: Case, fitted: FittedCamera) -> Record:
+    """How far the fitted camera and its alternatives are from the true one."""
+    true = case.views[0].camera
+    answers = [fitted.camera, *(alternative.camera for alternative in fitted.alternatives)]
+    degrees = [float(angle_between(answer.R, true.R)) for answer in answers]
+    shortest, longest = (focal / true.K[0, 0] for focal in fitted.focal_range)
+    angles = {"sure": fitted.sure, "degrees": degrees[0], "answers": min(degrees)}
+    return {**angles, "shortest": shortest, "longest": longest}
 
 
 def conclude(cases: Cases) -> Record:
     """For each cloud medians, and counts of cases within 15 degrees."""
 
     def right(rows: Cases, key: str) -> int:
-        return sum(row[key] <= RIGHT for row in rows)
+        return sum(row[key] <= RIGHT_DEGREES for row in rows)
+
+    def median(rows: Cases, key: str) -> float:
+        return float(np.median([row[key] for row in rows]))
 
     summary, by_cloud = {}, grouped(cases, "cloud")
     for name in (TRUE, WRONG_PRIOR, *CLOUDS.values()):
         if rows := by_cloud.get(name):
             sure = [row for row in rows if row["sure"]]
-            degrees, shortest, longest, seconds = (
-                float(np.median([row[key] for row in rows]))
-                for key in ("degrees", "shortest", "longest", "seconds")
-            )
-            counts = {"right": right(rows, "degrees"), "answers": right(rows, "answers")}
-            counts |= {"sure": len(sure), "sure_right": right(sure, "degrees")}
-            summary[name] = {"cases": len(rows), "median_degrees": degrees, **counts}
-            summary[name] |= {"shortest": shortest, "longest": longest, "median_seconds": seconds}
+            summary[name] = {
+                "cases": len(rows),
+                "median_degrees": median(rows, "degrees"),
+                "right": right(rows, "degrees"),
+                "answers": right(rows, "answers"),
+                "sure": len(sure),
+                "sure_right": right(sure, "degrees"),
+                "shortest": median(rows, "shortest"),
+                "longest": median(rows, "longest"),
+                "median_seconds": median(rows, "seconds"),
+            }
     return {"summary": summary}
 
 
 def tables(record: Record) -> list[Table]:
     """A row for each cloud."""
-    header = [
-        "cloud",
-        "cases",
-        "median degrees",
-        "within 15",
-        "one of the answers",
-        "sure",
-        "of them right",
-    ]
-    rows = [[name, *row.values()] for name, row in record["summary"].items()]
-    return [Table([*header, "shortest focal / true", "longest", "s"], rows)]
+    header = ["cloud", "cases", "median degrees", "within 15", "one of the answers within 15"]
+    header += ["sure", "sure and within 15", "shortest focal length / true", "longest", "s"]
+    return [Table(header, [[name, *row.values()] for name, row in record["summary"].items()])]
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """For each cloud the share of the cases within so many degrees; dashed: by the nearest of the answers."""
+    """For each cloud the distribution of the angles; dashed: of the nearest of the answers."""
     with page(path, overwrite, (9.0, 3.8), dpi=100) as figure:
         axis = figure.subplots()
         for cloud, colour in zip(record["summary"], COLOURS, strict=False):
-            for key, dashes in (("degrees", "-"), ("answers", "--")):
-                degrees = [case[key] for case in record["cases"] if case["cloud"] == cloud]
-                axis.ecdf(
-                    degrees,
-                    color=colour,
-                    linestyle=dashes,
-                    label=cloud if key == "degrees" else None,
-                )
-        axis.axvline(RIGHT, color=INK, linewidth=0.8, zorder=0)
-        axis.set(
-            xlim=(0.0, 180.0),
-            xticks=[0, 15, 30, 60, 90, 120, 150, 180],
-            ylabel="share of the cases",
-        )
-        axis.set_xlabel("degrees from the true rotation (dashed: of the nearest of the answers)")
+            rows = [case for case in record["cases"] if case["cloud"] == cloud]
+            for key, dashes, label in (("degrees", "-", cloud), ("answers", "--", None)):
+                degrees = [row[key] for row in rows]
+                axis.ecdf(degrees, color=colour, linestyle=dashes, label=label)
+        axis.axvline(RIGHT_DEGREES, color=INK, linewidth=0.8, zorder=0)
+        ticks = [0, 15, 30, 60, 90, 120, 150, 180]
+        axis.set(xlim=(0.0, 180.0), xticks=ticks, ylabel="share of the cases")
+        axis.set_xlabel("degrees from the true rotation (dashed: the nearest of the answers)")
         axis.legend(frameon=False, fontsize=8, loc="lower right")
 
 
@@ -145,11 +142,12 @@ STUDY = Study(
     parts=("pictures", "camera fit"),
     tables=tables,
     draw=draw,
-    reading="A true cloud and its mask mostly determine the rotation, but an object and its mirror image turned round in "
-    "depth cast nearly the same silhouette. Where a wrong answer comes first, the right one is therefore often among the "
-    "alternatives. The focal length is hardly determined: a wide range of them fits as well.",
+    reading="A true cloud and its mask mostly determine the rotation, but an object and its mirror "
+    "image turned round in depth cast nearly the same silhouette. Where a wrong answer comes "
+    "first, the right one is therefore often among the alternatives. The focal length is hardly "
+    "determined: a wide range of focal lengths fits as well.",
     convention=CONVENTION,
-    options=(*COMMON, part("validation"), VIEWS),
+    options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
     conclude=conclude,
 )

@@ -1,28 +1,37 @@
-"""The ways of refining that the studies of accuracy and evidence compare."""
+"""The ways of refining that studies compare."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 from ...errors import TsoError
 from ...network.model import BaseNetwork
-from ...optimisation.presets import BEST, FIELD_NODES, Stage
+from ...optimisation.presets import BEST, CONTROL_POINTS, Stage
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
 from .cases import Case
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One way of refining a case: with ``config``, seeing so many ``masks`` of it; ``then`` goes on in points mode."""
+    """One way of refining a case.
+
+    config : settings. masks : how many masks of the case are seen.
+    then : settings of a second refinement, in points mode, which starts from the result.
+    """
 
     config: RefineConfig = field(default_factory=RefineConfig)
     masks: int = 1
     then: RefineConfig | None = None
 
 
-def _best_with(**changes: object) -> Variant:
-    return Variant(RefineConfig(coarse_to_fine=replace(BEST, **changes)))  # type: ignore[arg-type]
+def _best_with(**changes: Any) -> Variant:
+    return Variant(RefineConfig(coarse_to_fine=replace(BEST, **changes)))
+
+
+def _stages_with(**changes: Any) -> Variant:
+    return _best_with(stages=tuple(replace(stage, **changes) for stage in BEST.stages))
 
 
 PAPER, DEFAULT = "paper", "best"
@@ -37,8 +46,10 @@ POINTS = {
     FOUR_MASKS: Variant(masks=4),
 }
 NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
-MODES = tuple(product(NETWORK_MODES, (PAPER, DEFAULT)))
-ALONE = {f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset)) for mode, preset in MODES}
+ALONE = {
+    f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset))
+    for mode, preset in product(NETWORK_MODES, (PAPER, DEFAULT))
+}
 COMBINED = {
     f"{mode}, then points": Variant(RefineConfig(mode), then=RefineConfig())
     for mode in ("latent", "encoder-decoder")
@@ -50,37 +61,27 @@ ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _best_with(
-        stages=tuple(replace(stage, smoothness=0.0, nodes=FIELD_NODES) for stage in BEST.stages)
-    ),
+    "no smoothing": _stages_with(smoothness=0.0, nodes=CONTROL_POINTS),
     "one stage": _best_with(stages=(Stage(10.0, 3.0, fine_grid=True),)),
-    "stages averaged alike": _best_with(
-        stages=tuple(replace(stage, averaging_weight=1.0) for stage in BEST.stages)
-    ),
-    "one learning rate": _best_with(
-        stages=tuple(replace(stage, learning_rate_scale=1.0) for stage in BEST.stages)
-    ),
+    "stages averaged alike": _stages_with(averaging_weight=1.0),
+    "one learning rate": _stages_with(learning_rate_scale=1.0),
     "at most 512 nodes": _best_with(
         stages=tuple(replace(stage, nodes=min(stage.nodes, 512)) for stage in BEST.stages)
     ),
-    "64 cells in the last stage too": _best_with(
-        stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages)
-    ),
+    "64 cells in the last stage too": _stages_with(fine_grid=False),
     "prior by the error of the whole cloud alone": _best_with(local_prior=False),
     "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
     "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
     "prior alike for each start": _best_with(prior_decay=0.0),
     "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
-    "no robust loss": _best_with(
-        stages=tuple(replace(stage, robust_scale=1000.0) for stage in BEST.stages)
-    ),
+    "no robust loss": _stages_with(robust_scale=1000.0),
     "no resolvability": _best_with(use_resolvability=False),
     "Adam per coordinate": Variant(
         RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, uniform_adam=False))
     ),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
-"""The default preset with one ingredient changed in each row, between the paper's and itself."""
+"""The default preset with one ingredient changed in each row, below the paper's and itself."""
 
 
 def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
@@ -93,7 +94,8 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
 def refined(
     cases: list[Case], variant: Variant, device: str, network: BaseNetwork | None
 ) -> list[RefineResult]:
-    """The result of each case; networks and colours have no batch. Raises TsoError where a case cannot be refined."""
+    """The result of each case; TsoError where a case cannot be refined."""
+    # Networks and colours have no batch.
     if variant.config.mode != "points" or any(case.colours is not None for case in cases):
         return [alone(case, variant, device, network) for case in cases]
     problems = [(case.initial, case.views[: variant.masks]) for case in cases]
@@ -115,11 +117,11 @@ def alone(case: Case, variant: Variant, device: str, network: BaseNetwork | None
     if variant.then is None:
         return result
     then = uninterrupted(refine(result.points, views, config=variant.then))
-    return replace(then, iou_before=result.iou_before)
+    return replace(then, fit=replace(then.fit, iou_before=result.fit.iou_before))
 
 
 def uninterrupted(result: RefineResult) -> RefineResult:
-    """The result; KeyboardInterrupt where the loop has swallowed Ctrl-C and kept its best."""
-    if result.stop_reason == "interrupted":
+    """The result; KeyboardInterrupt where the optimisation kept its best after Ctrl-C."""
+    if result.fit.stop_reason == "interrupted":
         raise KeyboardInterrupt
     return result

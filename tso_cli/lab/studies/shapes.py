@@ -10,24 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
+from ... import render
 from ...datasets.splits import read_part
 from ...errors import InputError
 from ...geometry.points import Array
 from ...io.checkpoints import load_network
 from ...io.meshes import Mesh, find_meshes, read_mesh
 from ...network.model import BaseNetwork, NetworkConfig
-from ...render import (
-    RayScene,
-    RenderedView,
-    RenderSettings,
-    ground_truth,
-    normalise,
-    render_view,
-    sample_cameras,
-)
 
 SPLIT = Path(__file__).with_name("split.json")
-"""Training, validation and test types of the shapes that the shipped network is from."""
+"""Training, validation and test shapes of the shipped network."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +35,16 @@ class Shape:
 
     def mesh(self) -> Mesh:
         """Longest side 1, centred."""
-        return normalise(read_mesh(self.path))
+        return render.normalise(read_mesh(self.path))
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedShape:
-    """A shape, ``target`` [1024, 3] float64 of its surface, and rendered views."""
+    """A shape, ``target`` [1024, 3] float64 on its surface, and rendered views."""
 
-    scene: RayScene
+    scene: render.RayScene
     target: Array
-    views: list[RenderedView]
+    views: list[render.RenderedView]
 
 
 def shapes_of_part(
@@ -64,8 +56,9 @@ def shapes_of_part(
 ) -> list[Shape]:
     """The shapes of one part of a split, sorted by category, in the order of the split.
 
-    ``folder`` holds CATEGORY/NAME with a mesh's suffix for every name of the part; without ``split_file`` the split is that of
-    the shipped network. Of ``categories`` (empty: all) at most ``limit`` shapes each, spread evenly over the list.
+    ``folder`` holds CATEGORY/NAME with a mesh's suffix for every name of the part. Without
+    ``split_file`` the split is the shipped network's. At most ``limit`` shapes of each of
+    ``categories`` (empty: all), spread evenly over the list.
 
     Raises InputError if the part or a category has no shape in the split, or a mesh is missing.
     """
@@ -76,9 +69,8 @@ def shapes_of_part(
     known = sorted({name.split("/")[0] for name in names})
     for category in categories:
         if category not in known:
-            raise InputError(
-                f"{split_file}: names no {category} for {part}, expected some of {', '.join(known)}"
-            )
+            expected = f"expected some of {', '.join(known)}"
+            raise InputError(f"{split_file}: names no {category} for {part}, {expected}")
     meshes = {
         path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)
     }
@@ -95,35 +87,34 @@ def shapes_of_part(
 
 
 def shape_type(stem: str) -> str:
-    """The common name of files that are variants of one object: `fg_767_763` and `fg_767_767` are both `fg_767`."""
+    """The name that variants of one object share: `fg_767_763` and `fg_767_767` are `fg_767`."""
     parts = stem.split("_")
     return "_".join(parts[:2]) if parts[0] == "fg" and len(parts) > 2 else stem
 
 
-def see(shape: Shape, settings: RenderSettings, seed: int) -> RenderedShape:
-    """Render a shape; everything random depends on ``seed`` and its name alone, not on what else is studied."""
+def see(shape: Shape, settings: render.RenderSettings, seed: int) -> RenderedShape:
+    """Render a shape; everything random depends on ``seed`` and the shape's name alone."""
     rng = np.random.default_rng([seed, zlib.crc32(shape.name.encode())])
     mesh = shape.mesh()
-    target = ground_truth(mesh, settings, rng)[1].astype(np.float64)
-    scene = RayScene(mesh)
-    views = [
-        render_view(scene, camera, rng) for camera in sample_cameras(settings, mesh.vertices, rng)
-    ]
-    return RenderedShape(scene, target, views)
+    target = render.ground_truth(mesh, settings, rng)[1].astype(np.float64)
+    scene = render.RayScene(mesh)
+    cameras = render.sample_cameras(settings, mesh.vertices, rng)
+    return RenderedShape(
+        scene, target, [render.render_view(scene, camera, rng) for camera in cameras]
+    )
 
 
 def view_aligned_network(checkpoint: Path) -> tuple[BaseNetwork, NetworkConfig]:
     """The network of a checkpoint; InputError if it does not predict in the axes of the view."""
     network, about = load_network(checkpoint)
     if about.frame != "view":
-        raise InputError(
-            f"{checkpoint}: predicts in the {about.frame} frame, expected a view-aligned network"
-        )
+        found = f"predicts in the {about.frame} frame"
+        raise InputError(f"{checkpoint}: {found}, expected a view-aligned network")
     return network, about
 
 
 def weights_hash(network: BaseNetwork) -> str:
-    """Changes when a weight does; what else is in a checkpoint says nothing of its predictions."""
+    """Changes when a weight does, and with nothing else in the checkpoint."""
     digest = hashlib.sha256()
     for name, tensor in sorted(network.state_dict().items()):
         digest.update(name.encode() + tensor.float().contiguous().numpy().tobytes())

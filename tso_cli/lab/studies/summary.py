@@ -1,4 +1,4 @@
-"""What the studies make of the figures of their cases: means, ratios, intervals."""
+"""What studies make of the figures of their cases: means, ratios, intervals."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from ..study import Cases, Record
 
-RESAMPLED, ENDS = 4000, (2.5, 97.5)
-"""Resampled sets of shapes behind an interval, and the percentiles at its ends."""
+RESAMPLED_SETS, PERCENTILES = 4000, (2.5, 97.5)
+"""Of shapes behind an interval; the ends of a 95 % interval."""
 
 
 def rounded(values: Record) -> Record:
@@ -26,7 +26,7 @@ def mean(values: Iterable[float]) -> float:
 
 
 def standard_error(values: Iterable[float]) -> float:
-    """Of their mean; 0 of a single one."""
+    """Of the mean; 0 for a single value."""
     several = list(values)
     return float(np.std(several, ddof=1)) / len(several) ** 0.5 if len(several) > 1 else 0.0
 
@@ -51,14 +51,15 @@ def ratio_figures(ratios: np.ndarray) -> Record:
 def interval(
     shapes: Sequence[str], values: np.ndarray, weights: np.ndarray | None = None
 ) -> list[float]:
-    """95 % interval of sum(values) / sum(weights) over shapes drawn with replacement: views of one shape are not independent.
+    """95 % interval of sum(values) / sum(weights), or of the mean without ``weights``.
 
-    ``shapes`` names the shape of each value; without ``weights`` the interval is that of the mean.
+    ``shapes`` names the shape of each value. Shapes are drawn with replacement, as views of one
+    shape are not independent.
     """
     indices = np.unique(shapes, return_inverse=True)[1]
     totals, counts = np.bincount(indices, values), np.bincount(indices, weights)
-    drawn = np.random.default_rng(0).integers(len(totals), size=(RESAMPLED, len(totals)))
-    low, high = np.percentile(totals[drawn].sum(1) / counts[drawn].sum(1), ENDS)
+    drawn = np.random.default_rng(0).integers(len(totals), size=(RESAMPLED_SETS, len(totals)))
+    low, high = np.percentile(totals[drawn].sum(1) / counts[drawn].sum(1), PERCENTILES)
     return [float(low), float(high)]
 
 
@@ -66,10 +67,8 @@ def summarised(cases: Cases, keys: Sequence[str], figures: Callable[[Cases], Any
     """Value of the first key -> value of the second -> ... -> the figures of those cases."""
     if not keys:
         return figures(cases)
-    return {
-        value: summarised(group, keys[1:], figures)
-        for value, group in grouped(cases, keys[0]).items()
-    }
+    groups = grouped(cases, keys[0])
+    return {value: summarised(group, keys[1:], figures) for value, group in groups.items()}
 
 
 def grouped(cases: Cases, key: str) -> dict[str, Cases]:

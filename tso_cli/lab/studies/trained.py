@@ -1,4 +1,4 @@
-"""Studies that train a network for each of their settings, under one budget, and judge all on unseen shapes."""
+"""The frame of studies that train networks: data says which ones, all are compared unseen."""
 
 from __future__ import annotations
 
@@ -12,55 +12,27 @@ import numpy as np
 
 from ...train import TrainConfig, train
 from ...train.data import TrainingData
+from .. import options
 from ..charts import Rows, draw_bars
-from ..study import (
-    DEVICE,
-    MESHES,
-    SEED,
-    SPLIT,
-    Cases,
-    Option,
-    Plan,
-    Progress,
-    Record,
-    Study,
-    Table,
-    part,
-)
+from ..options import Option
+from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .discretised import DEPTH, projected_objective
-from .judging import (
+from .material import (
     ALL,
     CONVENTION,
     FRAME,
-    JUDGED_VIEWS,
+    INPUT_VIEWS,
     Material,
     Predicted,
     constant_answer,
-    judge,
+    distances,
     predict,
 )
-from .shapes import SPLIT as SHIPPED_SPLIT
+from .shapes import SPLIT
 
 CATEGORIES = ("airplane", "car", "chair")
-OPTIONS = (
-    MESHES,
-    SPLIT,
-    part("test"),
-    Option(
-        "--category",
-        "May be repeated.  [default: see above]",
-        multiple=True,
-        default=(),
-        name="categories",
-    ),
-    Option("--steps", "Of every network.  [default: see above]", int, least=1),
-    Option("--batch-size", kind=int, default=8, least=1),
-    Option("--limit", "Training shapes a category.", int, 32, least=1),
-    SEED,
-    DEVICE,
-)
-# The same training comes out as far away another time: a smaller difference is noise.
 NOISE = 0.95
+"""The same training comes out up to 5 % away another time: a smaller difference is noise."""
 # The paper's rate of 5e-5 gets nowhere in few steps.
 RATE, AVERAGING = 3e-4, 0.99
 
@@ -69,9 +41,11 @@ RATE, AVERAGING = 3e-4, 0.99
 class Setting:
     """One network of a study.
 
-    name : in tables; unique among the settings of a category. category : to train and judge on; `ALL` : all, equally often.
-    changes : fields of `train.TrainConfig` in which it differs. projection : of `discretised`; empty for the paper's.
-    constant : judge the mean training shape instead of a network. repeat : is added to the seed.
+    name : in tables; unique among the settings of a category.
+    category : to train and compare on; `ALL`: all categories, equally often.
+    changes : fields of `train.TrainConfig` in which the network differs.
+    projection : of `discretised`; empty for the paper's.
+    constant : take the mean training shape in place of a network. repeat : is added to the seed.
     """
 
     name: str
@@ -86,8 +60,9 @@ class Setting:
 class Comparison:
     """The networks that a study compares.
 
-    steps : of each network; categories : without ``--category``. settings : categories -> the networks to train.
-    measure : predictions of a network, judged data -> what else its case says.
+    steps : of each network. categories : without ``--category``.
+    settings : categories -> the networks to train.
+    measure : predictions of a network, unseen data -> what else its case says.
     """
 
     steps: int
@@ -103,80 +78,88 @@ class Comparison:
         split: Path | None,
         part: str,
         limit: int,
-        **options: Any,
+        material: Callable[..., Material] = Material,
+        **budget: Any,
     ) -> Plan:
-        """Train and judge the network of each setting; the parameters are `OPTIONS`.
+        """Train the network of each setting, and compare it with the truth on unseen shapes.
 
-        The cases: {"setting", "category", "judged": {category: Chamfer distance x1000}, ...}. Raises InputError if a shape is
-        missing.
+        The cases: {"setting", "category", "judged": {category: Chamfer distance x1000}, ...}.
+        Raises InputError if a shape is missing.
         """
-        categories = options.pop("categories") or self.categories
-        networks = self.settings(categories)
-        material = Material(
-            meshes, split, part, categories, limit, options["seed"], progress.report
-        )
-        budget = {
-            **options,
-            "steps": options["steps"] or self.steps,
-            "learning_rate": RATE,
-            "averaging": AVERAGING,
-        }
-        budget["frame"] = FRAME
-        about = {"split": (split or SHIPPED_SPLIT).name, "part": part}
+        names = budget.pop("categories") or self.categories
+        networks = self.settings(names)
+        shapes = material(meshes, split, part, names, limit, budget["seed"], progress.report)
+        budget |= {"steps": budget["steps"] or self.steps, "frame": FRAME}
+        budget |= {"learning_rate": RATE, "averaging": AVERAGING}
         jobs = []
         for number, network in enumerate(networks, 1):
             doing = f"{number} of {len(networks)}: {network.name}, {network.category}"
             shared = {"setting": network.name, "category": network.category}
-            jobs.append((shared, partial(self._judge, material, network, budget, progress, doing)))
-        settings = {**budget, **about, "shapes": material.counts(), "names": material.names_hash()}
-        return Plan(settings, jobs, "training")
+            jobs.append((shared, partial(self._case, shapes, network, budget, progress, doing)))
+        about: Record = {"split": (split or SPLIT).name, "part": part}
+        about |= {"shapes": shapes.counts(), "names": shapes.names_hash()}
+        return Plan({**budget, **about}, jobs, "training")
 
-    def _judge(
-        self, material: Material, setting: Setting, budget: Record, progress: Progress, doing: str
+    def _case(
+        self, shapes: Material, setting: Setting, budget: Record, progress: Progress, doing: str
     ) -> Cases:
         case: Record = {"setting": setting.name, "category": setting.category}
-        data = material.data(setting.category, True, dense=setting.projection == DEPTH)
-        unseen = material.data(setting.category, False)
+        data = shapes.data(setting.category, True, dense=setting.projection == DEPTH)
+        unseen = shapes.data(setting.category, False)
         if setting.constant:
-            return [{**case, "judged": judge(constant_answer(data, unseen))}]
-        common = {
-            **budget,
-            "seed": budget["seed"] + setting.repeat,
-            "balance": setting.category == ALL,
-        }
-        config = TrainConfig(**{**common, **setting.changes})
-        result = train(
-            data,
-            config,
-            objective=projected_objective(config, setting.projection)
-            if setting.projection
-            else None,
-            progress=lambda done, total, note: progress.report(doing, done, total),
-        )
+            constant = constant_answer(data, unseen, shapes.mean_steps)
+            return [{**case, "judged": distances(constant)}]
+        own = {"seed": budget["seed"] + setting.repeat, "balance": setting.category == ALL}
+        config = TrainConfig(**{**budget, **own, **setting.changes})
+        objective = projected_objective(config, setting.projection) if setting.projection else None
+        report = lambda done, total, note: progress.report(doing, done, total)  # noqa: E731
+        result = train(data, config, objective=objective, progress=report)
         if result.stop_reason == "interrupted":
             raise KeyboardInterrupt
         predicted = predict(result.network, unseen)
-        return [{**case, "judged": judge(predicted), **self.measure(predicted, unseen)}]
+        return [{**case, "judged": distances(predicted), **self.measure(predicted, unseen)}]
 
 
 def masks(category: str, **changes: Any) -> dict[str, Any]:
-    """Supervision with masks, under the paper's sigma^2 of a network for one category."""
+    """Supervision with masks, under the paper's sigma^2 for one category."""
     return {"supervision": "masks", "sigma_sq": 0.1 if category == "airplane" else 0.4, **changes}
 
 
-def chamfers(cases: Cases) -> dict[str, dict[str, float]]:
-    """Chamfer distance x1000 under the paper's protocol: {setting: {category: value}}."""
+def by_category(cases: Cases, key: str = "judged") -> dict[str, dict[str, float]]:
+    """{setting: {category: value}}; of the key "judged" the Chamfer distance x1000."""
     values: dict[str, dict[str, float]] = {}
-    for category in dict.fromkeys(category for case in cases for category in case["judged"]):
+    for category in dict.fromkeys(category for case in cases for category in case.get(key, {})):
         for case in cases:
-            if category in case["judged"]:
-                values.setdefault(case["setting"], {})[category] = case["judged"][category]
+            if category in case.get(key, {}):
+                values.setdefault(case["setting"], {})[category] = case[key][category]
     return values
 
 
 def with_mean(values: dict[str, float]) -> dict[str, float]:
     """The mean over categories, then the ``values`` of each."""
     return {"mean": float(np.mean(list(values.values()))), **values}
+
+
+def at_most(
+    text: str,
+    values: Mapping[str, Mapping[str, float]],
+    name: str,
+    rivals: Sequence[str],
+    factor: float = 1.0,
+    paper: str = "",
+) -> Record:
+    """The claim that ``name`` is at most ``factor`` times each of ``rivals``, in every category.
+
+    ``values`` : {setting: {category: value}}; ``paper`` : the paper's figures.
+    """
+    missed, figures = [], []
+    for category, value in values[name].items():
+        others = [values[rival][category] for rival in rivals]
+        missed.append(any(value > factor * other for other in others))
+        against = " and ".join(f"{other:.2f}" for other in others)
+        note = ", not there" if missed[-1] else ""
+        figures.append(f"{category} {value:.2f} against {against}{note}")
+    return claim(text, not any(missed), "; ".join(figures) + (f"; paper {paper}" if paper else ""))
 
 
 def trained_study(
@@ -188,12 +171,15 @@ def trained_study(
     rows: Callable[[Record], Rows],
     notes: Record | None = None,
 ) -> Study:
-    """The study that makes a comparison; ``rows`` : record -> title -> row -> column -> value, which tables and bars show."""
+    """The study that makes a comparison.
+
+    ``rows`` : record -> title -> row -> column -> value, for tables and bars.
+    """
 
     def tables(record: Record) -> list[Table]:
-        return [
-            _table(record["settings"], title, of_title) for title, of_title in rows(record).items()
-        ]
+        panels = rows(record)
+        note = _budget(record["settings"])
+        return [_table(title, panels[title], note) for title in panels]
 
     return Study(
         name=name,
@@ -209,21 +195,33 @@ def trained_study(
     )
 
 
-def _table(settings: Record, title: str, rows: Mapping[str, Mapping[str, float | None]]) -> Table:
-    """A row for each of ``rows``, a column for each of their keys; below it the budget of the networks."""
+OPTIONS = (
+    options.MESHES,
+    options.SPLIT,
+    options.part("test"),
+    options.categories(note="see above"),
+    Option("--steps", "Of every network.  [default: see above]", int, least=1),
+    Option("--batch-size", kind=int, default=8, least=1),
+    Option("--limit", "Training shapes of a category.", int, 32, least=1),
+    options.SEED,
+    options.DEVICE,
+)
+
+
+def _budget(settings: Record) -> str:
     shapes = ", ".join(
-        f"{name} {n['training']} to train and {n['judged']} to judge"
+        f"{name} {n['training']} to train and {n['judged']} unseen"
         for name, n in settings["shapes"].items()
     )
-    budget = (
-        f"{settings['steps']} steps of {settings['batch_size']} at a rate of {settings['learning_rate']:g}, seed "
-        f"{settings['seed']}, {settings['frame']} frame, {settings['device']}; shapes: {shapes} ({settings['part']}), "
-        f"{JUDGED_VIEWS} views each. Chamfer x1000 under the paper's protocol."
+    return (
+        f"{settings['steps']} steps of {settings['batch_size']} at a rate of "
+        f"{settings['learning_rate']:g}, seed {settings['seed']}, {settings['frame']} frame, "
+        f"{settings['device']}; shapes: {shapes} ({settings['part']}), {INPUT_VIEWS} views each. "
+        "Chamfer x1000 under the paper's protocol."
     )
+
+
+def _table(title: str, rows: Mapping[str, Mapping[str, float | None]], note: str) -> Table:
     columns = list(dict.fromkeys(key for values in rows.values() for key in values))
-    return Table(
-        [title, *columns],
-        [[name, *map(values.get, columns)] for name, values in rows.items()],
-        note=budget,
-        decimals=2,
-    )
+    cells = [[name, *map(values.get, columns)] for name, values in rows.items()]
+    return Table([title, *columns], cells, note=note, decimals=2)

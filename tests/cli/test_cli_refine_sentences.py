@@ -1,0 +1,347 @@
+"""Findings and results as sentences, with the options that mend what they report."""
+
+from dataclasses import replace
+
+import pytest
+
+from tests.scenes import example
+from tso_cli import RefineConfig, RefineResult, refine
+from tso_cli.commands.sentences import (
+    GENERAL_ADVICE,
+    HINTS,
+    Words,
+    shown,
+    why_unmoved,
+)
+from tso_cli.diagnosis.confidence import FINDING, REASONS, Trust
+from tso_cli.diagnosis.examine import Diagnosis, NoOverlapError
+from tso_cli.diagnosis.findings import NOTES, Finding
+from tso_cli.diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
+
+ONE, TWO = Words(["a.png"]), Words(["a.png", "b.png"])
+SIX = Words([f"{number}.png" for number in range(6)])
+EXCHANGED = Finding("mispaired", (0, 1), 0.7, 0.3, pairs=((1, 0), (0, 1)))
+
+
+def wrong(name: str, view: str = "") -> Assumption:
+    return Assumption(HYPOTHESES[name], view)
+
+
+# What may be wrong, and what mends it
+
+
+@pytest.mark.parametrize("name", HYPOTHESES)
+def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
+    says = HYPOTHESES[name].says
+    sentence = f"it looks as if {says}: try --assume {name}"
+    assert ONE.suspicion([Finding(name, (0,), 0.7)]) == sentence
+    assert TWO.suspicion([Finding(name, (0, 1), 0.7)]) == sentence
+    suspect = {"what": says, "option": f"--assume {name}", "score": 0.7}
+    assert ONE.suspect(Finding(name, (0,), 0.7)) == suspect
+
+
+@pytest.mark.parametrize(
+    ("words", "finding", "what", "option"),
+    [
+        (
+            TWO,
+            Finding("opengl", (1,)),
+            "for b.png alone the camera's axes are OpenGL's (y up, z backward)",
+            "--assume opengl@b.png",
+        ),
+        (
+            ONE,
+            Finding("cloud-z-up", (0,), without=wrong("cloud-z-up")),
+            "--assume cloud-z-up is wrong",
+            "without --assume cloud-z-up",
+        ),
+        (
+            ONE,
+            Finding("mask-inverted", (0,), without=INVERTED),
+            "--assume mask-inverted is wrong",
+            "without --assume mask-inverted",
+        ),
+        (
+            Words(["a.png"], inverted=True),
+            Finding("mask-inverted", (0,), without=INVERTED),
+            "--invert-mask is wrong",
+            "without --invert-mask",
+        ),
+        (
+            TWO,
+            Finding("mask-inverted", (1,), without=INVERTED),
+            "for b.png alone --assume mask-inverted is wrong",
+            "without --assume mask-inverted for b.png",
+        ),
+        (
+            TWO,
+            Finding("mask-inverted", (0, 1), without=wrong("mask-inverted", "b.png")),
+            "--assume mask-inverted@b.png is wrong",
+            "without --assume mask-inverted@b.png",
+        ),
+        (
+            TWO,
+            Finding("box", (1,)),
+            "b.png is the bounding box of the object",
+            "a mask of its outline",
+        ),
+        (
+            ONE,
+            Finding("occluder", (0,)),
+            "something hides a part of the object in a.png",
+            "--ignore FILE",
+        ),
+    ],
+)
+def test_what_may_be_wrong_and_what_mends_it(words, finding, what, option):
+    assert words.suspect(finding) == {"what": what, "option": option, "score": 0.0}
+    assert words.suspicion([finding]) == f"it looks as if {what}: try {option}"
+
+
+def test_alternatives_are_one_sentence():
+    findings = [Finding(name, (0, 1)) for name in ("opengl", "pytorch3d", "camera-to-world")]
+    assert TWO.suspicion(findings) == (
+        f"it looks as if {HYPOTHESES['opengl'].says}: try --assume opengl, or --assume pytorch3d, "
+        "or --assume camera-to-world"
+    )
+
+
+def test_findings_of_views_are_a_sentence_each():
+    findings = [Finding("box", (0,)), Finding("mask-inverted", (1,))]
+    assert TWO.suspicion(findings) == (
+        "it looks as if a.png is the bounding box of the object: try a mask of its outline; "
+        "it looks as if for b.png alone the mask is inverted: try --assume mask-inverted@b.png"
+    )
+
+
+def test_without_findings_nothing_is_suspicious():
+    assert ONE.suspicion([]) == ""
+
+
+def test_wrong_pairs_are_named_by_their_masks():
+    assert SIX.suspicion([EXCHANGED]) == (
+        "it looks as if masks and cameras are paired wrongly: try 1.png with the camera that 0.png "
+        "has now, 0.png with the camera that 1.png has now"
+    )
+
+
+def test_where_all_views_are_paired_wrongly_the_cloud_may_be_turned():
+    what = TWO.suspect(EXCHANGED)["what"]
+    assert what == "masks and cameras are paired wrongly, or the cloud is turned"
+
+
+def test_three_pairs_are_named_and_the_rest_is_counted():
+    pairs = tuple((camera + 1, camera) for camera in range(5))
+    option = SIX.suspect(Finding("mispaired", (0, 1, 2, 3, 4), pairs=pairs))["option"]
+    assert option.count("with the camera that") == 3
+    assert option.endswith(", and so on, 5 in all")
+
+
+def test_views_of_one_name_are_numbered():
+    option = Words(["mask", "mask"]).suspect(EXCHANGED)["option"]
+    assert option == (
+        "view 2 with the camera that view 1 has now, view 1 with the camera that view 2 has now"
+    )
+
+
+# Notes
+
+
+@pytest.mark.parametrize("name", NOTES)
+def test_a_note_names_its_view_and_the_option_that_mends_it(name):
+    numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "size"), 3.0)
+    numbers |= dict.fromkeys(("distance", "observed", "nearest", "farthest", "count"), 3.0)
+    finding = Finding(name, (1,), values={**numbers, "why": "a face is degenerate"})
+    assert TWO.note(finding) == f"b.png: {finding.says}{HINTS.get(name, '')}"
+    assert TWO.note(replace(finding, views=())) == f"{finding.says}{HINTS.get(name, '')}"
+
+
+def test_notes_leave_out_what_is_said_of_suspicious_findings():
+    notes = [Finding("outliers", values={"count": 3}), Finding("unsure-camera", (0,), values={})]
+    notes[1] = replace(notes[1], values={"why": "two poses fit"})
+    assert ONE.notes([Finding("box", (0,)), *notes]) == [
+        "3 points lie far from the rest: they stay where they are, and no measure counts them",
+        "a.png: the fitted camera is unsure: two poses fit",
+    ]
+
+
+# Errors
+
+
+def no_overlap(diagnosis: Diagnosis, part=None) -> NoOverlapError:
+    error = NoOverlapError("in Python's words")
+    error.problem, error.diagnosis, error.part = "a.png: no point falls inside", diagnosis, part
+    return error
+
+
+@pytest.mark.parametrize(
+    ("diagnosis", "part", "advice"),
+    [
+        (
+            Diagnosis((), of_input=(Finding("camera-to-world", (0,)),)),
+            None,
+            "it looks as if R and t are camera-to-world: try --assume camera-to-world",
+        ),
+        (
+            Diagnosis(()),
+            (29.5, 19.5, 33.5, 23.5),
+            "it meets a part of the mask (columns 30 to 34, rows 20 to 24): is the rest something "
+            "else? Erase it, or leave it out by --ignore FILE",
+        ),
+        (Diagnosis(()), None, GENERAL_ADVICE),
+    ],
+)
+def test_cloud_and_mask_that_do_not_meet_come_with_advice(diagnosis, part, advice):
+    error = ONE.no_overlap(no_overlap(diagnosis, part))
+    assert str(error) == f"a.png: no point falls inside; {advice}"
+    assert "--check" in GENERAL_ADVICE
+
+
+# Results
+
+
+@pytest.fixture(scope="module")
+def moved() -> RefineResult:
+    """The chair after a few steps."""
+    scene = example("chair")
+    return refine(scene.points, scene.view, config=RefineConfig(steps=6, symmetry="none"))
+
+
+def changed(result: RefineResult, *, fit=None, **fields) -> RefineResult:
+    """The result with other ``fields``, and with other fields of its ``fit``."""
+    return replace(result, fit=replace(result.fit, **(fit or {})), **fields)
+
+
+def kept(result: RefineResult, stop_reason: str, outcome: str = "unchanged") -> RefineResult:
+    fit = {"stop_reason": stop_reason, "outcome": outcome, "best_step": 0, "moved_max": 0.0}
+    return changed(result, fit=fit, trust=Trust("unchanged", 1.0, displacement_taken=0.0))
+
+
+@pytest.mark.parametrize(
+    ("stop_reason", "why"),
+    [
+        ("max_steps", "no steps were asked for"),
+        ("interrupted", "interrupted at step 6, before one lowered the loss"),
+        ("non_finite", "the loss was not a number after step 6, and no loss before was lower"),
+        ("out_of_time", "the budget's seconds were over after 6 steps, before one agreed better"),
+        ("nothing_to_do", "the cloud already agrees with all that the mask shows"),
+        ("not_improved", "none of 6 steps agrees better with what the mask shows than the start"),
+    ],
+)
+def test_why_nothing_moved(moved, stop_reason, why):
+    result = kept(moved, stop_reason)
+    assert why_unmoved(moved) is None
+    assert why_unmoved(result).startswith(why)
+    (warning,) = ONE.warnings(result)
+    what = "nothing to do" if stop_reason == "nothing_to_do" else "nothing moved"
+    assert warning == f"{what}: {why_unmoved(result)}; the cloud is as it was"
+
+
+def test_a_refused_displacement_can_be_accepted(moved):
+    result = kept(moved, "doubtful", "refused")
+    assert why_unmoved(result) == (
+        "the displacement is doubtful (--accept-doubtful takes it all the same)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("fit", "trust", "warning"),
+    [
+        (
+            {"stop_reason": "interrupted"},
+            Trust("improved", 0.9),
+            "interrupted at step 6 of 6: the result is the best so far",
+        ),
+        (
+            {"stop_reason": "out_of_time"},
+            Trust("improved", 0.9),
+            "the budget ended after 6 of 6 steps",
+        ),
+        (
+            {"stop_reason": "out_of_time"},
+            Trust(None, None, "time", "1 s were too few"),
+            "the budget ended after 6 of 6 steps: there is no confidence in the result",
+        ),
+        (
+            {"stop_reason": "non_finite"},
+            Trust("improved", 0.9),
+            "the loss was not a number after step 6: the result is the best before that",
+        ),
+        (
+            {"moved_max": 9e-4},
+            Trust("improved", 0.9),
+            "hardly anything moved: no point by more than 0.1 % of the object's size",
+        ),
+        (
+            {},
+            Trust("doubtful", 0.43, "motion", REASONS["motion"]),
+            f"the result is doubtful (confidence 0.43): {REASONS['motion']}",
+        ),
+        (
+            {},
+            Trust("doubtful", 0.43, "camera", REASONS["camera"]),
+            f"the result is doubtful (confidence 0.43): {REASONS['camera']} (--refine-camera)",
+        ),
+        (
+            {},
+            Trust("doubtful", 0.49, "unsure-camera", "two poses fit"),
+            "the result is doubtful (confidence 0.49): two poses fit",
+        ),
+        ({}, Trust("improved", 0.9), None),
+    ],
+)
+def test_the_warning_of_a_result(moved, fit, trust, warning):
+    result = changed(moved, fit={"stop_reason": "max_steps", **fit}, trust=trust)
+    assert ONE.warnings(result) == ([warning] if warning else [])
+
+
+@pytest.mark.parametrize(
+    ("outcome", "share", "taken"),
+    [
+        ("moved", 1.0, ""),
+        ("moved", 0.5, ", so only 50 % of the displacement is taken"),
+        ("refused", 0.0, ", so the cloud is left as it was"),
+    ],
+)
+def test_a_suspicious_finding_is_the_reason_and_its_option_is_named(moved, outcome, share, taken):
+    finding = Finding("opengl", (0,))
+    trust = Trust("doubtful", 0.8, FINDING, "in Python's words", share)
+    fit = {"outcome": outcome, "best_step": 0 if outcome == "refused" else 6}
+    result = changed(moved, fit=fit, trust=trust, findings=(finding,))
+    assert ONE.reason(result) == ONE.suspicion([finding])
+    assert ONE.warnings(result) == [f"the result is doubtful{taken}: {ONE.suspicion([finding])}"]
+
+
+def test_notes_follow_the_warnings_of_a_result(moved):
+    notes = (Finding("specks", (0,), values={"pixels": 3}), Finding("contradicted", (0,)))
+    notes = (notes[0], replace(notes[1], values={"weight": 0.25}))
+    assert ONE.warnings(changed(moved, trust=Trust("improved", 0.9), findings=notes)) == [
+        "a.png: foreground far from the object is left out (3 px)",
+        "a.png: the other views contradict it, so it counts for little (inlier weight 0.25 of 1); "
+        "is its mask or camera wrong?",
+    ]
+
+
+def test_an_unsure_camera_is_said_once(moved):
+    camera = Finding("unsure-camera", (0,), values={"why": "two poses fit"})
+    trust = Trust("improved", 0.9).with_unsure_camera(camera.says)
+    (warning,) = ONE.warnings(changed(moved, trust=trust, findings=(camera,)))
+    assert warning.endswith("the fitted camera is unsure: two poses fit")
+
+
+@pytest.mark.parametrize(
+    ("confidence", "text"), [(0.4999, "0.49"), (0.5, "0.50"), (0.999, "0.99"), (1.0, "1.00")]
+)
+def test_a_confidence_is_rounded_down_so_that_a_half_is_not_doubtful(confidence, text):
+    assert shown(confidence) == text
+
+
+def test_every_reason_of_the_model_has_words(moved):
+    for group, says in REASONS.items():
+        result = changed(moved, trust=Trust("doubtful", 0.3, group, says))
+        hint = " (--refine-camera)" if group == "camera" else ""
+        assert ONE.reason(result) == says + hint
+
+
+def test_a_right_result_has_no_reason(moved):
+    assert ONE.reason(changed(moved, trust=Trust("improved", 0.9))) == ""

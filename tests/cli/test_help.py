@@ -1,0 +1,175 @@
+"""The help of every command: complete, short, true, and the same with every version of click."""
+
+import re
+import warnings
+
+import click
+import pytest
+
+from tso_cli.cli import SECTIONS, with_options
+from tso_cli.cli import tso as root
+from tso_cli.commands.options import Warnings, Whole, listing
+from tso_cli.commands.train import BRIEF, DEFAULTS, EXAMPLE_DEFAULTS
+
+PRODUCT = [name for heading, names in SECTIONS.items() if heading != "Research" for name in names]
+RESEARCH = list(SECTIONS["Research"])
+
+
+def commands(group=root, words=()):
+    """The words of every command that is not a group."""
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if isinstance(command, click.Group):
+            yield from commands(command, (*words, name))
+        else:
+            yield (*words, name)
+
+
+@pytest.fixture
+def narrow(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+
+
+@pytest.mark.parametrize("words", [(), *((name,) for name in RESEARCH)], ids=str)
+def test_a_group_without_a_command_prints_its_help_on_lines_and_exits_with_2(tso, words):
+    bare, asked = tso(*words), tso(*words, "--help")
+    assert bare.code == 2
+    assert bare.out == ""
+    assert asked.code == 0
+    assert bare.err == asked.out
+    assert bare.err.startswith("Usage: tso")
+    assert len(bare.err.splitlines()) > 10
+
+
+def test_studies_and_benchmarks_are_one_line_at_the_end_of_the_help(tso):
+    *others, heading, last = tso("--help").out.splitlines()
+    assert heading == "Research:"
+    assert re.fullmatch(r"  lab, bench  Studies and benchmarks of the method\.", last)
+    for name in RESEARCH:
+        assert not any(re.match(rf"  {name}\b", line) for line in others)
+
+
+def test_every_other_command_has_its_line_in_the_help(tso):
+    lines = tso("--help").out.splitlines()
+    for section in SECTIONS.values():
+        for name, (_, text) in section.items():
+            assert name in RESEARCH or any(
+                re.fullmatch(rf"  {name} +{re.escape(text)}", line) for line in lines
+            )
+
+
+def test_every_command_has_help_all_which_shows_every_option(tso):
+    for words in commands():
+        context = click.Context(root)
+        command = root
+        for word in words:
+            command = command.get_command(context, word)
+        shown = tso(*words, "--help-all").out
+        for parameter in command.params:
+            if isinstance(parameter, click.Option) and not parameter.hidden:
+                assert re.search(rf"{parameter.opts[-1]}\b", shown), (words, parameter.name)
+
+
+def test_help_names_help_all_where_it_shows_less(tso):
+    for words in commands():
+        brief, whole = (tso(*words, option).out for option in ("--help", "--help-all"))
+        assert (brief != whole) == ("--help-all" in brief)
+        assert "-h, --help" in brief
+
+
+def test_a_help_fits_on_80_columns_and_60_lines(tso, narrow):
+    for words in [(), *commands()]:
+        lines = tso(*words, "--help").out.splitlines()
+        assert max(map(len, lines)) <= 80, words
+        assert len(lines) <= 60, words
+
+
+@pytest.mark.parametrize("option", ["--help", "--help-all"])
+def test_no_help_shows_bounds_that_say_nothing(tso, option):
+    for name in PRODUCT:
+        shown = tso(name, option).out
+        assert str(2**63 - 1) not in shown
+        assert not re.search(r"\bINTEGER\b|\bFLOAT\b|\bRANGE\b", shown), name
+
+
+def test_the_help_of_compile_says_where_work_runs_that_is_not_compiled(tso):
+    shown = tso("compile", "--help").out
+    assert "numpy" in shown
+    assert "torch" not in shown
+
+
+def test_the_defaults_in_the_help_of_train_are_the_ones_used(tso):
+    shown = " ".join(tso("train", "--help-all").out.split())
+    for name, value in DEFAULTS.items():
+        assert f"[default: {value:g}; {EXAMPLE_DEFAULTS[name]:g} without DATA]" in shown
+
+
+def test_the_options_that_train_shows_first_exist():
+    train = root.get_command(click.Context(root), "train")
+    assert set(BRIEF) <= {parameter.name for parameter in train.params}
+
+
+def test_the_help_is_in_plain_english(tso):
+    private = r"\b(stray|so many|so much|but for|of which|the same of|judged|told|borne|tells)\b"
+    for name in PRODUCT:
+        assert not re.search(private, tso(name, "--help-all").out, re.IGNORECASE), name
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("0", "0 is too small, expected 1 or more"),
+        ("51", "51 is too large, expected at most 50"),
+        ("six", "'six' is not a valid integer"),
+    ],
+)
+def test_a_whole_number_out_of_range_is_refused_with_what_was_expected(value, message):
+    with pytest.raises(click.BadParameter, match=message):
+        Whole(1, 50).convert(value, None, None)
+    assert Whole(1, 50).convert("50", None, None) == 50
+    assert Whole().convert("-7", None, None) == -7
+
+
+def test_an_option_can_list_its_values_without_the_arguments_of_the_command(capsys):
+    table = {"opengl": "the camera's axes are OpenGL's", "mask-inverted": "the mask is inverted"}
+
+    @click.command()
+    @click.argument("source")
+    @click.option("--assume", multiple=True, is_eager=True, callback=listing(lambda: table))
+    def command(source, assume):
+        click.echo(f"{source} {assume}")
+
+    assert command.main(["--assume", "list"], standalone_mode=False) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "opengl         the camera's axes are OpenGL's",
+        "mask-inverted  the mask is inverted",
+    ]
+    command.main(["x.ply", "--assume", "opengl"], standalone_mode=False)
+    assert capsys.readouterr().out == "x.ply ('opengl',)\n"
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_warnings_are_kept_in_order_and_printed_unless_quiet(monkeypatch, quiet):
+    printed = []
+    monkeypatch.setattr(warnings, "showwarning", lambda message, *_, **__: printed.append(message))
+    before = warnings.showwarning
+    with warnings.catch_warnings(), Warnings(quiet) as warned:
+        warnings.simplefilter("always")
+        warnings.warn("first", stacklevel=1)
+        warnings.warn("second", stacklevel=1)
+    assert warned.texts == ["first", "second"]
+    assert [str(message) for message in printed] == ([] if quiet else ["first", "second"])
+    assert warnings.showwarning is before
+
+
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [
+        ("a.ply: exists already, expected a new name or `overwrite`", "a new name or --overwrite"),
+        ("`sigma_sq` is 0, expected more", "--sigma-sq is 0, expected more"),
+        ("see `tso eval --help`", "see `tso eval --help`"),
+    ],
+)
+def test_errors_show_the_parameters_of_the_library_as_options(message, shown):
+    assert shown in with_options(message)

@@ -1,0 +1,79 @@
+"""The example aeroplane from several sides, mistakes in its input, and what is found there."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tests.scenes import example, seen, turned
+from tso_cli import View
+from tso_cli.cloud.cloud import Cloud
+from tso_cli.diagnosis.cells import Outline
+from tso_cli.diagnosis.examine import Diagnosis, NoOverlapError, examine
+from tso_cli.diagnosis.explain import Explanation, explain
+from tso_cli.diagnosis.findings import Finding
+from tso_cli.diagnosis.hypotheses import HYPOTHESES, Assumption, as_meant, assumptions_of
+
+PLANE = example("airplane")
+EXAMPLES = "chair", "car", "airplane"
+
+
+def assumed(name: str) -> tuple[Assumption, ...]:
+    """One hypothesis of the table, about all views."""
+    return (Assumption(HYPOTHESES[name]),)
+
+
+def changed(view: View, name: str) -> View:
+    """The view with the change that the hypothesis ``name`` makes."""
+    return as_meant(view, assumed(name))
+
+
+def around(count: int = 4) -> list[View]:
+    """The aeroplane from ``count`` sides, 40 degrees apart."""
+    return [
+        replace(seen(PLANE.target, turned(PLANE.camera, 40.0 * i)), name=f"{i}.png")
+        for i in range(count)
+    ]
+
+
+def paired(views: Sequence[View], order: Sequence[int]) -> list[View]:
+    """Camera k with the mask of view ``order[k]``."""
+    return [replace(views[i], camera=view.camera) for i, view in zip(order, views, strict=True)]
+
+
+def explained(
+    points: np.ndarray, views: Sequence[View], given: Sequence[Assumption] = ()
+) -> Explanation:
+    """`explain` for ``views`` as they were read, none of them a bounding box."""
+    outlines = [Outline(view, given) for view in views]
+    return explain(points, outlines, given, np.zeros(len(views), bool))
+
+
+def examined(
+    points: np.ndarray,
+    views: Sequence[View],
+    assume: Sequence[str] = (),
+    known: Sequence[Finding] = (),
+    hypotheses: bool = True,
+) -> Diagnosis:
+    """`examine` for ``views`` as they were read; also where cloud and mask do not meet."""
+    given = assumptions_of(assume, [view.name for view in views])
+    meant = [as_meant(view, given) for view in views]
+    cloud = Cloud(points, "cloud").controlled(views=meant)
+    try:
+        return examine(cloud, views, meant, given, known, hypotheses)
+    except NoOverlapError as error:
+        return error.diagnosis
+
+
+def named(findings: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
+    """(name, views) of each finding."""
+    return [(finding.name, finding.views) for finding in findings]
+
+
+def boxed(view: View) -> View:
+    """The view whose mask is the bounding box of the object, as a detector gives it."""
+    rows, columns = np.nonzero(view.mask > 0.5)
+    mask = np.zeros_like(view.mask)
+    mask[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = 1.0
+    return replace(view, mask=mask)

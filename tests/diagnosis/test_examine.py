@@ -1,0 +1,249 @@
+"""The examination of the input: what it finds, whether others outvote it, and what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.corruption import assert_one_line
+from tests.scenes import block, example, seen, turned
+from tso_cli import Camera, RefineConfig, View, refine
+from tso_cli.cloud.cloud import Cloud
+from tso_cli.diagnosis.examine import (
+    CONFIDENCE_OF_BOXES,
+    CONFIDENCE_OF_MISPAIRED,
+    NoOverlapError,
+    examine,
+)
+from tso_cli.diagnosis.findings import Finding
+
+from .common import EXAMPLES, PLANE, around, boxed, changed, examined, named, paired
+from .mistakes import mistaken
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_right_input_has_no_findings(name):
+    scene = example(name)
+    diagnosis = examined(scene.points, [scene.view])
+    assert diagnosis.findings == ()
+    assert diagnosis.most_confidence == 1.0
+    assert not diagnosis.outvoted
+
+
+# Suspicious findings
+
+
+@pytest.mark.parametrize(
+    ("views", "most_confidence", "outvoted", "suspicious"),
+    [
+        (around(4), 1.0, False, []),
+        ([boxed(PLANE.view)], CONFIDENCE_OF_BOXES, False, [("box", (0,))]),
+        ([boxed(around()[0]), *around()[1:]], 1.0, True, [("box", (0,))]),
+        ([boxed(around()[0]), around()[1]], 1.0, False, [("box", (0,))]),
+        (
+            [*map(boxed, around()[:3]), around()[3]],
+            1.0,
+            False,
+            [("box", (0,)), ("box", (1,)), ("box", (2,))],
+        ),
+        (paired(around(4), [1, 2, 3, 0]), CONFIDENCE_OF_MISPAIRED, False, None),
+        (paired(around(8), [1, 0, 2, 3, 4, 5, 6, 7]), 1.0, True, [("mispaired", (0, 1))]),
+    ],
+    ids=[
+        "right",
+        "box",
+        "one box of four",
+        "one box of two",
+        "three boxes of four",
+        "pairs",
+        "a pair of eight",
+    ],
+)
+def test_how_sure_a_result_can_be_and_who_outvotes_whom(
+    views, most_confidence, outvoted, suspicious
+):
+    diagnosis = examined(PLANE.points, views)
+    assert diagnosis.most_confidence == most_confidence
+    assert diagnosis.outvoted == outvoted
+    if suspicious is not None:
+        assert named(diagnosis.suspicious) == suspicious
+
+
+def test_findings_of_the_whole_input_come_before_those_of_views():
+    views = [boxed(changed(view, "opengl")) for view in around(3)[:1]]
+    views += [changed(view, "opengl") for view in around(3)[1:]]
+    diagnosis = examined(PLANE.points, views)
+    assert [finding.name for finding in diagnosis.suspicious] == ["opengl"]
+    assert diagnosis.of_views == ()
+
+
+@pytest.mark.parametrize("confirmed", [False, True])
+def test_a_weak_hypothesis_is_suspicious_once_it_is_confirmed(confirmed):
+    weak, box, note = Finding("mask-flipped", (0,)), Finding("box", (0,)), Finding("specks", (0,))
+    diagnosis = replace(
+        examined(PLANE.points, [PLANE.view]),
+        of_views=(box,),
+        weak=weak,
+        confirmed=confirmed,
+        notes=(note,),
+    )
+    assert diagnosis.suspicious == ((weak,) if confirmed else (box,))
+    assert diagnosis.findings == (*diagnosis.suspicious, note)
+
+
+def test_a_box_hides_no_occluder_of_another_view():
+    views = around(3)
+    rows = np.flatnonzero(views[2].inside.any(1))
+    hidden = views[2].mask.copy()
+    hidden[int(np.quantile(rows, 0.6)) :] = 0.0
+    diagnosis = examined(PLANE.target, [boxed(views[0]), views[1], replace(views[2], mask=hidden)])
+    assert ("box", (0,)) in named(diagnosis.suspicious)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_no_cloud_follows_a_box_in_place_of_its_mask(name):
+    scene = example(name)
+    result = refine(scene.points, boxed(scene.view))
+    assert named(result.findings) == [("box", (0,))]
+    assert result.trust.verdict == "doubtful"
+    assert result.trust.displacement_taken == 0.0
+    assert np.array_equal(result.points, scene.points)
+
+
+def test_with_one_box_among_masks_the_cloud_follows_the_others():
+    scene = example("car")
+    others = [seen(scene.target, turned(scene.camera, angle)) for angle in (90.0, 180.0)]
+    result = refine(scene.points, [boxed(scene.view), *others])
+    assert ("box", (0,)) in named(result.findings)
+    assert result.trust.displacement_taken > 0.0
+
+
+def test_with_a_pair_among_many_views_the_cloud_follows_the_others():
+    result = refine(PLANE.points, paired(around(8), [0, 1, 2, 3, 4, 5, 7, 6]))
+    assert ("mispaired", (6, 7)) in named(result.findings)
+    assert result.trust.verdict == "doubtful"
+    assert result.trust.displacement_taken == 1.0
+    assert PLANE.error(result.points) < 0.9 * PLANE.error(PLANE.points)
+
+
+# Notes
+
+
+def test_notes_name_what_is_worth_reading(cloud):
+    mask = block(np.s_[20:44, 20:44])
+    mask[62, 60:63] = 1.0
+    camera = Camera.canonical(64, 64)
+    depth = np.where(mask > 0.5, 900.0, np.nan)
+    # Fewer points far away would be outliers.
+    clump = np.random.default_rng(0).normal([0.0, 0.0, 3.0], 0.01, (300, 3))
+    view = View(mask, camera, depth=depth)
+    diagnosis = examined(np.vstack([cloud, clump]), [view])
+    expected = ["scale", "depth-unit", "specks", "behind"]
+    assert named(diagnosis.notes) == [(name, (0,)) for name in expected]
+    assert not any(note.suspicious for note in diagnosis.notes)
+
+
+def test_outliers_are_noted_with_their_number(cloud):
+    far = np.random.default_rng(0).normal([30.0, 30.0, 0.0], 0.01, (3, 3))
+    view = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64))
+    (note,) = examined(np.vstack([cloud, far]), [view]).notes
+    assert note == Finding("outliers", values={"count": 3})
+
+
+def test_faces_that_are_no_mesh_are_noted(cloud):
+    view = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64))
+    degenerate = Cloud(cloud, "cloud", faces=[[0, 0, 0]]).controlled()
+    (note,) = examine(degenerate, [view], [view]).notes
+    assert note.name == "not-a-mesh"
+    assert note.says.endswith("so the vertices are taken for a cloud")
+
+
+def test_what_the_reader_found_comes_first_and_is_noted_once():
+    mask = PLANE.mask.copy()
+    mask[:3, :3] = 1.0
+    view = replace(PLANE.view, mask=mask)
+    known = (Finding("specks", (0,), values={"pixels": 4}), Finding("unsure-camera", (0,)))
+    diagnosis = examined(PLANE.points, [view], known=known)
+    assert diagnosis.notes == known
+    (note,) = examined(PLANE.points, [view]).notes
+    assert note == Finding("specks", (0,), values={"pixels": 9})
+
+
+def test_in_the_network_modes_only_symptoms_of_the_mask_are_looked_for():
+    inverted = changed(PLANE.view, "mask-inverted")
+    assert examined(PLANE.points, [inverted]).suspicious
+    diagnosis = examined(PLANE.points, [inverted], hypotheses=False)
+    assert diagnosis.findings == ()
+    assert diagnosis.explanation is None
+
+
+def test_points_behind_the_camera_are_a_finding_of_the_result(cloud):
+    view = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64))
+    clump = np.random.default_rng(0).normal([0.0, 0.0, 3.0], 0.01, (300, 3))
+    result = refine(np.vstack([cloud, clump]), view, config=RefineConfig(steps=0))
+    (finding,) = [one for one in result.findings if one.name == "behind"]
+    assert finding.says == "300 of 800 points lie behind the camera and take no part"
+
+
+# Cloud and mask that do not meet
+
+
+def _refused(points: np.ndarray, view: View) -> NoOverlapError:
+    with pytest.raises(NoOverlapError) as caught:
+        examine(Cloud(points, "cloud").controlled(), [view], [view])
+    assert_one_line(str(caught.value))
+    assert str(caught.value).startswith(caught.value.problem)
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    ("move", "words"),
+    [
+        ((0.0, 0.0, 5.0), "mask.png: all 500 points lie behind the camera"),
+        ((9.0, 0.0, 0.0), "mask.png: no point falls inside the 64x64 image"),
+    ],
+)
+def test_a_cloud_that_misses_the_mask_is_refused_with_general_advice(cloud, move, words):
+    view = View(block(np.s_[4:12, 4:12]), Camera.canonical(64, 64), name="mask.png")
+    error = _refused(cloud * 0.2 + move, view)
+    assert error.problem == words
+    assert error.part is None
+    assert "OpenCV: x right, y down, z forward" in str(error)
+    assert "--" not in str(error)
+
+
+def test_a_cloud_that_meets_one_part_of_a_mask_is_refused_with_the_part(cloud):
+    mask = block(np.s_[30:34, 30:34])
+    mask[2, 2] = 1.0
+    error = _refused(cloud * 0.13, View(mask, Camera.canonical(64, 64)))
+    assert "hardly meet" in error.problem
+    assert error.part == (29.5, 29.5, 33.5, 33.5)
+    assert "it meets a part of the mask" in str(error)
+
+
+def test_a_cloud_that_misses_the_mask_by_a_known_mistake_is_refused_with_the_finding():
+    error = _refused(PLANE.points, changed(PLANE.view, "camera-to-world"))
+    assert [finding.name for finding in error.diagnosis.suspicious] == ["camera-to-world"]
+    assert str(error).endswith("; it looks as if R and t are camera-to-world")
+
+
+# Assumptions from Python
+
+
+@pytest.mark.parametrize("name", ["opengl", "mask-inverted", "cloud-z-up"])
+def test_a_refinement_under_the_right_assumption_is_that_of_right_input(name):
+    config = RefineConfig(steps=12, symmetry="none")
+    right = refine(PLANE.target, PLANE.view, config=config)
+    points, view = mistaken(name)
+    result = refine(points, view, config=config, assume=(name,))
+    assert result.findings == ()
+    assert result.fit.iou_after == pytest.approx(right.fit.iou_after, abs=0.01)
+    assert result.fit.loss_after == pytest.approx(right.fit.loss_after, rel=0.05)
+
+
+def test_an_assumption_may_name_one_view_of_several():
+    views = around(3)
+    wrong = [*views[:2], changed(views[2], "mask-inverted")]
+    result = refine(PLANE.points, wrong, assume=("mask-inverted@2.png",))
+    right = refine(PLANE.points, views)
+    np.testing.assert_array_equal(result.points, right.points)

@@ -1,0 +1,276 @@
+"""Which hypothesis explains cloud, cameras and masks: of the whole input, of views, of pairs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes import example, in_photo, seen, turned
+from tso_cli import View
+from tso_cli.diagnosis.explain import MOST_ALTERNATIVES
+from tso_cli.diagnosis.hypotheses import HYPOTHESES, assumptions_of
+from tso_cli.losses.silhouette import silhouette_of
+
+from .common import (
+    EXAMPLES,
+    PLANE,
+    around,
+    assumed,
+    changed,
+    examined,
+    explained,
+    named,
+    paired,
+)
+from .mistakes import INVISIBLE, mistaken
+
+# Of the whole input
+
+
+@pytest.mark.parametrize("name", sorted(set(HYPOTHESES) - INVISIBLE))
+def test_a_mistake_is_found_before_the_start(name):
+    points, view = mistaken(name)
+    found = explained(points, [view]).of_input
+    assert name in [finding.name for finding in found]
+    assert len(found) <= MOST_ALTERNATIVES
+    for finding in found:
+        assert finding.views == (0,)
+        assert finding.suspicious
+        assert 0.4 <= finding.score <= 1.0
+        assert 0.1 < finding.gain <= finding.score
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_right_input_is_not_suspicious(name):
+    scene = example(name)
+    for points in (scene.points, scene.target):
+        assert explained(points, [scene.view]).of_input == ()
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("times", [24, 48, 64, 80, 96, 128, 160])
+def test_right_input_of_a_few_pixels_is_not_suspicious(name, times):
+    scene = example(name)
+    corner = 20 * times + times // 3
+    large = in_photo(scene.view, 64 * times // len(scene.mask), corner, corner)
+    pixels = large.mask.reshape(64, times, 64, times).mean((1, 3)) > 0.5
+    K = large.camera.K / [[times], [times], [1.0]]
+    K[:2, 2] -= 0.5 - 0.5 / times
+    if pixels.any():
+        view = View(np.float32(pixels), replace(large.camera, K=K, width=64, height=64))
+        assert explained(scene.points, [view]).of_input == ()
+
+
+def test_the_order_of_the_points_does_not_matter():
+    """In an organised cloud, every 1,024th point is of one column."""
+    side = np.linspace(-0.5, 0.5, 1024)
+    grid = np.stack([np.repeat(side, 1024), np.tile(side, 1024), np.zeros(1024 * 1024)], 1)
+    shuffled = np.random.default_rng(0).permutation(grid)
+    ious = [examined(points, [PLANE.view]).explanation.as_given for points in (grid, shuffled)]
+    assert ious[0] == pytest.approx(ious[1], abs=0.05)
+
+
+def test_points_on_unknown_pixels_are_no_disagreement():
+    known = np.ones(PLANE.mask.shape, bool)
+    known[:, : known.shape[1] // 2] = False
+    half = explained(PLANE.target, [replace(PLANE.view, known=known)]).as_given
+    assert half > 0.9 * explained(PLANE.target, [PLANE.view]).as_given
+
+
+def test_an_object_that_the_border_truncates_does_not_pass_for_an_inverted_mask():
+    K = PLANE.camera.K * [[3.0, 1.0, 1.0], [1.0, 3.0, 1.0], [1.0, 1.0, 1.0]]
+    camera = replace(PLANE.camera, K=K)
+    near = View(silhouette_of(PLANE.target, camera), camera)
+    found = explained(PLANE.points, [near]).of_input
+    assert "mask-inverted" not in [finding.name for finding in found]
+
+
+def test_the_unknown_part_of_a_border_does_not_hide_that_a_mask_is_inverted():
+    known = np.ones(PLANE.mask.shape, bool)
+    known[:, : known.shape[1] // 2 - 20] = False
+    mask = np.where(known, 1.0 - PLANE.mask, 0.0).astype(np.float32)
+    found = explained(PLANE.target, [replace(PLANE.view, mask=mask, known=known)]).of_input
+    assert found[0].name == "mask-inverted"
+
+
+# Under assumptions
+
+
+@pytest.mark.parametrize("name", ["mask-inverted", "cloud-z-up", "opengl"])
+def test_a_wrong_assumption_is_the_only_finding(name):
+    found = explained(PLANE.target, [PLANE.view], assumed(name)).of_input
+    assert [finding.without for finding in found] == list(assumed(name))
+    assert [finding.name for finding in found] == [name]
+
+
+@pytest.mark.parametrize("name", ["mask-inverted", "mask-flipped", "cloud-z-up", "opengl"])
+def test_under_a_right_assumption_nothing_is_found(name):
+    points, view = mistaken(name)
+    found = explained(points, [view], assumed(name))
+    assert found.of_input == ()
+    assert found.of_views == ()
+    assert found.as_given == pytest.approx(explained(PLANE.target, [PLANE.view]).as_given, abs=0.02)
+
+
+def test_a_wrong_assumption_about_one_view_is_found_as_it_was_given():
+    views = around()
+    given = assumptions_of([f"mask-inverted@{views[1].name}"], [view.name for view in views])
+    (finding,) = explained(PLANE.target, views, given).of_input
+    assert finding.without == given[0]
+    assert finding.gain > 0.16
+
+
+# Of single views
+
+
+@pytest.mark.parametrize("name", ["mask-inverted", "mask-upside-down", "opengl", "camera-to-world"])
+def test_a_mistake_in_one_view_of_several_is_found_there(name):
+    views = around(3)
+    assert explained(PLANE.points, views).of_views == ()
+    found = explained(PLANE.points, [*views[:2], changed(views[2], name)])
+    assert found.of_input == ()
+    assert named(found.of_views) == [(name, (2,))]
+    (finding,) = found.of_views
+    alone = explained(PLANE.points, views[2:]).as_given
+    assert finding.score == pytest.approx(alone, abs=0.02)
+
+
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_of_two_views_the_one_that_shows_nothing_of_the_cloud_is_the_wrong_one(wrong):
+    views = around(2)
+    views[wrong] = changed(views[wrong], "camera-to-world")
+    found = explained(PLANE.points, views).of_views
+    assert named(found) == [("camera-to-world", (wrong,))]
+    # A flipped view shows the cloud as well as the other view does.
+    views = around(2)
+    views[wrong] = changed(views[wrong], "mask-flipped")
+    assert explained(PLANE.points, views).of_views == ()
+
+
+@pytest.mark.parametrize(("name", "found"), [("mask-inverted", True), ("mask-upside-down", False)])
+def test_of_two_views_either_may_be_the_wrong_one_unless_a_mask_fills_the_border(name, found):
+    views = around(2)
+    of_views = explained(PLANE.target, [views[0], changed(views[1], name)]).of_views
+    assert bool(of_views) == found
+
+
+def test_two_wrong_views_of_four_are_both_found():
+    views = around()
+    for number in (1, 2):
+        views[number] = changed(views[number], "mask-inverted")
+    found = explained(PLANE.target, views).of_views
+    assert named(found) == [("mask-inverted", (1,)), ("mask-inverted", (2,))]
+
+
+def test_a_mistake_in_the_cloud_is_never_found_in_a_single_view():
+    views = around(3)
+    # As if the cloud were turned for one camera alone.
+    of_cloud = HYPOTHESES["cloud-upside-down"].matrix
+    camera = replace(views[2].camera, R=views[2].camera.R @ of_cloud)
+    found = explained(PLANE.points, [*views[:2], replace(views[2], camera=camera)])
+    assert not any(HYPOTHESES[finding.name].of_cloud for finding in found.of_views)
+
+
+# Of pairs
+
+
+@pytest.mark.parametrize("order", [[1, 0], [1, 0, 2], [1, 2, 3, 0]])
+def test_masks_that_are_not_in_the_order_of_their_cameras_are_found_in_pairs(order):
+    found = explained(PLANE.points, paired(around(len(order)), order))
+    assert found.of_views == ()
+    (finding,) = found.of_input
+    moved = [camera for camera, mask in enumerate(order) if mask != camera]
+    # Camera i belongs to the mask that came with camera k, where order[k] is i.
+    expected = [(order.index(camera), camera) for camera in moved]
+    assert finding.name == "mispaired"
+    assert sorted(finding.pairs) == sorted(expected)
+    assert finding.views == tuple(moved)
+
+
+def test_a_pair_among_many_is_a_finding_of_views():
+    views = around(8)
+    found = explained(PLANE.points, paired(views, [0, 1, 2, 3, 4, 5, 7, 6]))
+    assert found.of_input == ()
+    (finding,) = found.of_views
+    assert sorted(finding.pairs) == [(6, 7), (7, 6)]
+    assert finding.views == (6, 7)
+
+
+def test_a_pair_is_found_though_another_view_fits_one_of_its_masks_too():
+    """From 0 and 5 degrees the chair fits both masks; one of them has the mask of 90 degrees."""
+    chair = example("chair")
+    views = [seen(chair.target, turned(chair.camera, angle)) for angle in (0.0, 5.0, 90.0)]
+    (finding,) = explained(chair.points, paired(views, [0, 2, 1])).of_input
+    assert sorted(finding.pairs) == [(1, 2), (2, 1)]
+
+
+def test_a_view_that_gains_nothing_from_another_mask_is_in_no_pair():
+    """Camera 0 has the mask of 25 degrees, which its own mask of 20 degrees hardly differs from."""
+    angles = 20.0, 25.0, 100.0, 150.0
+    views = [seen(PLANE.target, turned(PLANE.camera, angle)) for angle in angles]
+    found = explained(PLANE.points, paired(views, [1, 3, 2, 0]))
+    (finding,) = (*found.of_input, *found.of_views)
+    assert finding.views == (1, 3)
+    assert finding.pairs == ((0, 1), (1, 3))
+
+
+def test_flipped_masks_of_a_symmetric_object_do_not_pass_for_exchanged_ones():
+    """From 45 degrees left and right of its mirror plane each looks like the other, flipped."""
+    car = example("car")
+    views = [seen(car.target, turned(car.camera, angle)) for angle in (0.0, 90.0)]
+    found = explained(car.target, [changed(view, "mask-flipped") for view in views]).of_input
+    assert "mask-flipped" in [finding.name for finding in found]
+    assert "mispaired" not in [finding.name for finding in found]
+
+
+def test_views_that_agree_are_exchanged_with_none():
+    """All masks of an object of revolution are alike; another's mask may fit a little better."""
+    ball = np.random.default_rng(0).normal(size=(1024, 3)) * [0.1, 0.2, 0.1]
+    views = [seen(ball, turned(PLANE.camera, 40.0 * i)) for i in range(4)]
+    found = explained(ball, paired(views, [3, 0, 1, 2]))
+    assert found.of_input == ()
+    assert found.of_views == ()
+
+
+def test_pixels_that_are_unknown_in_a_mask_are_unknown_with_the_camera_of_another():
+    views = paired(around(2), [1, 0])
+    known = np.ones(views[0].mask.shape, bool)
+    known[:, : known.shape[1] // 2] = False
+    found = explained(PLANE.target, [replace(views[0], known=known), views[1]]).of_input
+    assert found[0].name == "mispaired"
+    assert found[0].score > 0.8
+
+
+def test_masks_of_another_size_are_exchanged_with_none():
+    views = paired(around(2), [1, 0])
+    mixed = [in_photo(views[0], 2, 0, 0), views[1]]
+    found = explained(PLANE.points, mixed)
+    assert "mispaired" not in [one.name for one in (*found.of_input, *found.of_views)]
+
+
+# Weak hypotheses
+
+
+@pytest.mark.parametrize("name", ["mask-flipped", "mask-upside-down", "R-transposed"])
+def test_a_mistake_that_silhouettes_hardly_show_is_a_weak_hypothesis(name):
+    chair = example("chair")
+    found = explained(chair.points, [changed(chair.view, name)])
+    assert found.of_input == ()
+    assert found.weak.name == name
+    assert found.weak.views == (0,)
+    assert 0.04 <= found.weak.gain < 0.16
+
+
+def test_no_hypothesis_is_weak_where_something_was_assumed():
+    chair = example("chair")
+    flipped = [changed(chair.view, "mask-flipped")]
+    # The principal point is in the middle of the picture: this assumption changes nothing.
+    found = explained(chair.points, flipped, assumed("principal-point-swapped"))
+    assert found.as_given == explained(chair.points, flipped).as_given
+    assert found.of_input == ()
+    assert found.weak is None
+
+
+def test_right_input_has_no_weak_hypothesis():
+    car = example("car")
+    assert explained(car.target, [car.view]).weak is None

@@ -1,0 +1,216 @@
+"""What a cloud, a mask or a camera looks like when something is wrong with it, one by one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from tests.scenes import EXAMPLES as FOLDER
+from tests.scenes import about, block, example, in_photo
+from tso_cli import Camera, View
+from tso_cli.diagnosis import symptoms
+from tso_cli.diagnosis.cells import Outline
+from tso_cli.diagnosis.placement import place
+from tso_cli.io.images import read_mask
+
+from .common import EXAMPLES, boxed
+
+CANONICAL = Camera.canonical(64, 64)
+
+
+def view_of(mask: np.ndarray, known: np.ndarray | None = None) -> View:
+    return View(mask.astype(np.float32), Camera.canonical(*mask.shape[::-1]), known)
+
+
+# A photo in place of a mask
+
+
+@pytest.mark.parametrize("invert", [False, True])
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_photo_in_place_of_a_mask_is_found_and_its_mask_is_none(name, invert):
+    found = []
+    for file in ("mask.png", "image.png"):
+        mask = read_mask(FOLDER / name / file)
+        found.append(symptoms.photo(view_of(1.0 - mask if invert else mask), 3))
+    assert found[0] is None
+    assert found[1].name == "photo"
+    assert found[1].views == (3,)
+
+
+def test_a_large_photo_is_found(tmp_path):
+    with Image.open(FOLDER / "chair" / "image.png") as image:
+        image.resize((3000, 3000)).save(tmp_path / "large.png")
+    assert symptoms.photo(view_of(read_mask(tmp_path / "large.png")), 0)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("blur", [0.0, 1.0, 3.0])
+def test_a_soft_mask_is_no_photo(name, blur):
+    mask = example(name).mask
+    soft = gaussian_filter(mask, blur) if blur else mask
+    assert symptoms.photo(view_of(np.rint(255.0 * soft) / 255.0), 0) is None
+
+
+def test_a_soft_mask_of_struts_as_thin_as_a_pixel_is_no_photo():
+    mask = np.zeros((256, 256))
+    # Each strut covers three fifths of one row and two fifths of the next one.
+    mask[::8], mask[1::8] = 0.6, 0.4
+    assert symptoms.photo(view_of(mask), 0) is None
+
+
+def test_a_soft_mask_of_few_pixels_is_no_photo():
+    rows, columns = np.indices((64, 64))
+    mask = 1.0 / (1.0 + np.exp((np.hypot(rows - 32, columns - 32) - 8.0) / 3.0))
+    assert symptoms.photo(view_of(mask), 0) is None
+
+
+def test_what_the_ignore_map_leaves_out_may_be_grey():
+    mask = np.where(example("chair").mask > 0.5, 1.0, 0.0)
+    known = np.ones(mask.shape, bool)
+    mask[:, :90], known[:, :90] = 0.4, False
+    assert symptoms.photo(view_of(mask), 0)
+    assert symptoms.photo(view_of(mask, known), 0) is None
+
+
+# Coarse masks
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "points", "name"),
+    [
+        (1, 1, 1024, "single-pixel"),
+        (3, 2, 1024, "coarse"),
+        (3, 5, 4, "coarse"),  # fewer than 16 pixels, whatever the points
+        (15, 15, 1024, "coarse"),
+        (15, 15, 450, None),  # two points for each pixel
+        (16, 1, 1024, None),
+        (16, 16, 100_000, None),
+    ],
+)
+def test_a_coarse_mask(rows, columns, points, name):
+    view = view_of(block(np.s_[20 : 20 + rows, 9 : 9 + columns]))
+    found = symptoms.coarse(view, 2, points)
+    assert (found and found.name) == name
+    if name == "coarse":
+        assert dict(found.values) == {"pixels": rows * columns, "side": max(rows, columns)}
+        assert found.views == (2,)
+        assert f"only {rows * columns} pixels" in found.says
+
+
+def test_foreground_far_from_the_object_is_a_speck():
+    mask = block(np.s_[4:30, 4:30])
+    assert symptoms.specks(view_of(mask), 0) is None
+    mask[61:63, 60:63] = 1.0
+    found = symptoms.specks(view_of(mask), 1)
+    assert found.views == (1,)
+    assert found.says == "foreground far from the object is left out (6 px)"
+
+
+# Points and the camera
+
+
+@pytest.mark.parametrize(("count", "found"), [(0, False), (1, True), (499, True), (500, False)])
+def test_points_behind_the_camera(cloud, count, found):
+    points = cloud.copy()
+    points[:count] += [0.0, 0.0, 5.0]
+    finding = symptoms.behind(place(points, view_of(block(np.s_[20:44, 20:44]))), 0)
+    assert bool(finding) == found
+    if found:
+        assert finding.says.startswith(f"{count} of 500 points lie behind the camera")
+
+
+@pytest.mark.parametrize(
+    ("times", "found"), [(1e-3, True), (0.1, False), (1.0, False), (9.0, False), (30.0, True)]
+)
+def test_a_cloud_implausibly_near_or_far_for_its_size(cloud, times, found):
+    view = view_of(block(np.s_[20:44, 20:44]))
+    finding = symptoms.scale(times * cloud, view, 0)
+    assert bool(finding) == found
+    if found:
+        size = times * np.ptp(cloud, axis=0).max()
+        assert finding.values["size"] == pytest.approx(size)
+        assert finding.values["distance"] == pytest.approx(2.0, abs=0.02 * times)
+        assert finding.says.endswith("; are both in one unit?")
+
+
+def test_the_distance_of_an_orthographic_camera_says_nothing(cloud):
+    camera = replace(CANONICAL, model="orthographic")
+    view = View(block(np.s_[20:44, 20:44]), camera)
+    assert symptoms.scale(1000.0 * cloud, view, 0) is None
+
+
+@pytest.mark.parametrize(("times", "found"), [(1.0, False), (0.6, False), (0.3, True), (1e3, True)])
+def test_a_depth_map_of_another_unit(cloud, times, found):
+    mask = block(np.s_[20:44, 20:44])
+    depth = np.where(mask > 0.5, times * CANONICAL.project(cloud)[1].mean(), np.nan)
+    finding = symptoms.depth_unit(cloud, View(mask, CANONICAL, depth=depth), 0)
+    assert bool(finding) == found
+    if found:
+        assert finding.values["observed"] == pytest.approx(np.nanmedian(depth))
+        assert finding.says.endswith("is the scale of the depth map right?")
+
+
+def test_without_a_depth_map_there_is_no_depth_of_another_unit(cloud):
+    assert symptoms.depth_unit(cloud, view_of(block(np.s_[20:44, 20:44])), 0) is None
+
+
+# Bounding boxes in place of masks
+
+
+def box_in(view: View, points: np.ndarray):
+    return symptoms.bounding_box(Outline(view), view, 1, points)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_box_in_place_of_a_mask_is_found(name):
+    scene = example(name)
+    assert box_in(scene.view, scene.points) is None
+    finding = box_in(boxed(scene.view), scene.points)
+    assert finding.name == "box"
+    assert finding.views == (1,)
+    assert finding.suspicious
+
+
+def panel(count: int = 1024) -> np.ndarray:
+    """A frontal sheet [N, 3], which fills its bounding box."""
+    rng = np.random.default_rng(0)
+    sides = rng.uniform(-0.5, 0.5, count), rng.uniform(-0.2, 0.2, count), np.zeros(count)
+    return np.stack(sides, axis=1)
+
+
+_NOISE = np.random.default_rng(1)
+PANELS = {
+    "as it is": panel(),
+    "few points": panel(512),
+    "turned": panel() @ about("z", 10.0).T,
+    "noisy": panel() + _NOISE.normal(scale=[0.02, 0.02, 0.0], size=(1024, 3)),
+    "outliers": np.vstack([panel(), _NOISE.uniform(-0.6, 0.6, (10, 3)) * [1.0, 1.0, 0.0]]),
+    "an ellipse": panel()[np.square(panel()[:, :2] / [0.5, 0.2]).sum(1) < 1.0],
+}
+
+
+@pytest.mark.parametrize("name", PANELS)
+def test_a_panel_that_fills_its_box_is_no_box(name):
+    camera = Camera.canonical(256, 256)
+    pixels = np.rint(camera.project(panel())[0]).astype(int)
+    (left, top), (right, bottom) = pixels.min(0), pixels.max(0)
+    mask = block(np.s_[top : bottom + 1, left : right + 1], (256, 256))
+    assert box_in(View(mask, camera), PANELS[name]) is None
+
+
+def test_few_pixels_or_points_do_not_show_a_box():
+    scene = example("car")
+    assert box_in(boxed(scene.view), scene.points)
+    assert box_in(boxed(scene.view), scene.points[:100]) is None
+    mask, camera = scene.mask[::20, ::20], scene.camera.resized(13, 13)
+    assert box_in(boxed(View(mask, camera)), scene.points) is None
+
+
+def test_an_inverted_mask_that_fills_the_picture_is_no_box():
+    scene = example("car")
+    view = in_photo(scene.view, 12, 1000, 1000)
+    inverted = replace(view, mask=1.0 - view.mask)
+    assert inverted.inside.mean() > 0.99
+    assert box_in(inverted, scene.points) is None

@@ -1,0 +1,129 @@
+"""A hypothesis that silhouettes hardly show is confirmed where short optimisations agree."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_dilation
+
+from tests.scenes import example
+from tso_cli import InputError, RefineConfig, View, refine
+from tso_cli.cloud.cloud import Cloud
+from tso_cli.diagnosis import verification
+from tso_cli.diagnosis.examine import Diagnosis, examine
+from tso_cli.diagnosis.findings import Finding
+from tso_cli.diagnosis.verification import verify_hypothesis
+from tso_cli.optimisation.problem import prepare
+from tso_cli.refinement.run import check
+from tso_cli.refinement.scene import as_scene
+
+from .common import changed, named
+
+CHAIR = example("chair")
+MISTAKES = ("mask-flipped", "mask-upside-down", "R-transposed")
+FLIPPED = changed(CHAIR.view, "mask-flipped")
+
+
+def verified(view: View, weak: str = "", until: float = np.inf, **config) -> Diagnosis:
+    """The diagnosis of the chair in a view, with a ``weak`` hypothesis unless it finds its own."""
+    settings = RefineConfig(**config).settings(1)
+    cloud = Cloud(CHAIR.points, "cloud").controlled(settings.points, [view])
+    diagnosis = examine(cloud, [view], [view])
+    if weak:
+        diagnosis = replace(diagnosis, weak=Finding(weak, (0,)))
+    problem = prepare(cloud, [view], settings)
+    return verify_hypothesis(diagnosis, problem, [view], settings, until)
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_that_silhouettes_hardly_show_is_confirmed(name):
+    diagnosis = verified(changed(CHAIR.view, name))
+    assert diagnosis.of_input == ()
+    assert diagnosis.confirmed
+    assert named(diagnosis.suspicious) == [(name, (0,))]
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_hypothesis_that_is_not_true_is_not_confirmed(name):
+    diagnosis = verified(CHAIR.view, name)
+    assert diagnosis.weak.name == name
+    assert not diagnosis.confirmed
+    assert diagnosis.suspicious == ()
+
+
+def test_without_a_weak_hypothesis_there_is_nothing_to_verify():
+    plane = example("airplane")
+    settings = RefineConfig().settings(1)
+    cloud = Cloud(plane.target, "cloud").controlled(views=[plane.view])
+    diagnosis = replace(examine(cloud, [plane.view], [plane.view]), weak=None)
+    problem = prepare(cloud, [plane.view], settings)
+    assert verify_hypothesis(diagnosis, problem, [plane.view], settings) is diagnosis
+
+
+@pytest.mark.parametrize("config", [{"preset": "paper"}, {"steps": 0}], ids=str)
+def test_other_settings_confirm_nothing(config):
+    assert verified(FLIPPED).confirmed
+    assert not verified(FLIPPED, **config).confirmed
+
+
+def test_with_a_depth_map_nothing_is_confirmed():
+    """A flipped mask has its depth map as it was read, even if that is a single pixel."""
+    row, column = np.argwhere((FLIPPED.mask > 0.5) & (CHAIR.mask > 0.5))[0]
+    depth = np.full(FLIPPED.mask.shape, np.nan)
+    depth[row, column] = np.median(CHAIR.camera.project(CHAIR.target)[1])
+    assert not verified(replace(FLIPPED, depth=depth)).confirmed
+
+
+@pytest.mark.parametrize("seconds", [-1.0, 1e-3])
+def test_without_time_nothing_is_confirmed(seconds):
+    assert not verified(FLIPPED, until=time.perf_counter() + seconds).confirmed
+
+
+def test_a_hypothesis_under_which_the_mask_shows_no_object_is_not_confirmed():
+    """The background is known only in thin columns, which the coarse cells cannot resolve."""
+    inside = (CHAIR.mask > 0.5).repeat(4, 0).repeat(4, 1)
+    far = ~binary_dilation(inside, iterations=24)
+    known = inside | (far & (np.indices(inside.shape)[1] % 5 == 0))
+    view = View(np.float32(inside), CHAIR.camera.resized(*inside.shape), known)
+    settings = RefineConfig().settings(1)
+    problem = prepare(Cloud(CHAIR.points, "cloud").controlled(), [view], settings)
+    with pytest.raises(InputError, match="no cell of its window"):
+        problem.with_views([changed(view, "mask-inverted")])
+    diagnosis = verified(view, "mask-inverted")
+    assert diagnosis.weak.name == "mask-inverted"
+    assert not diagnosis.confirmed
+
+
+# In a refinement
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_refinement_and_a_check_find_the_same(name):
+    view = changed(CHAIR.view, name)
+    settings = RefineConfig().settings(1)
+    diagnosis = check(as_scene(CHAIR.points, view), settings)
+    assert named(diagnosis.suspicious) == [(name, (0,))]
+    assert refine(CHAIR.points, view).findings == diagnosis.findings
+
+
+@pytest.mark.parametrize("budget", [1e-3, 1e-9])
+def test_a_refinement_without_time_finds_nothing_more(budget):
+    assert refine(CHAIR.points, FLIPPED, config=RefineConfig(budget=budget)).findings == ()
+
+
+def test_a_refinement_of_right_input_spends_time_on_a_weak_hypothesis_and_finds_nothing():
+    result = refine(CHAIR.points, CHAIR.view)
+    weak = examine(Cloud(CHAIR.points, "cloud").controlled(), [CHAIR.view], [CHAIR.view]).weak
+    assert ("check mistake" in result.cost.seconds) == (weak is not None)
+    assert result.findings == ()
+
+
+def test_ctrl_c_during_the_verification_leaves_the_cloud_as_it_was(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(verification, "final_losses", interrupted)
+    result = refine(CHAIR.points, FLIPPED)
+    assert result.fit.stop_reason == "interrupted"
+    np.testing.assert_array_equal(result.points, result.initial)

@@ -1,0 +1,203 @@
+"""What an optimisation comes to: the share of the displacement that is taken, and why."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.losses.scenes import points_at
+from tests.scenes import block, problem_of
+from tso_cli import Camera, RefineConfig, TsoError, View, refine
+from tso_cli.cloud.cloud import Cloud
+from tso_cli.diagnosis.examine import Diagnosis, examine
+from tso_cli.diagnosis.findings import Finding
+from tso_cli.optimisation.loop import Optimised
+from tso_cli.optimisation.optimise import optimise, weigh
+from tso_cli.optimisation.problem import prepare
+from tso_cli.optimisation.view_weights import ViewWeights
+from tso_cli.refinement.clock import Clock
+from tso_cli.refinement.judge import judge
+from tso_cli.refinement.run import run
+from tso_cli.refinement.scene import as_scene
+
+
+def _judged(points, view, displacements=0.0, symmetry=None, settings=None, **parts):
+    """The result of an optimisation that says it lowered the loss by these ``displacements``."""
+    problem = problem_of(points, view)
+    if symmetry:
+        problem = problem.with_symmetry(replace(problem.symmetry, outcome=symmetry))
+    best = problem.cloud.start + displacements
+    values = dict(best_step=1, losses=[2.0, 1.0], interrupted=False, first_loss=2.0, best_loss=1.0)
+    optimised = Optimised(best, **(values | parts))
+    settings = settings or RefineConfig(steps=1).settings()
+    diagnosis = Diagnosis(placements=())
+    weighed = weigh(problem, settings)
+    return judge(weighed, problem, optimised, [view], diagnosis, settings, {})
+
+
+def _square(middle, step=1.0):
+    """A square of points, 24 pixels wide, one every ``step`` pixels."""
+    columns, rows = np.arange(middle - 12.0, middle + 11.1, step), np.arange(20.0, 43.1, step)
+    pixels = np.stack(np.meshgrid(columns, rows), -1).reshape(-1, 2)
+    return points_at(pixels, Camera.canonical(64, 64), np.full(len(pixels), 2.0))
+
+
+MASK = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64), name="front")
+# One pixel to the right, in widths of the square.
+RIGHT = np.array([1.0, 0.0, 0.0]) / 24.0
+
+
+@pytest.mark.parametrize(
+    ("middle", "step", "right", "outcome"),
+    [
+        (28.0, 1.0, 3.0, "moved"),
+        (28.0, 1.0, -1.0, "unchanged"),
+        # The IoU of a start that hardly touches its mask says nothing.
+        (9.5, 1.0, -1.0, "moved"),
+        # Of a large cloud all points are asked, not the control points alone.
+        (9.5, 1 / 3, -1.0, "unchanged"),
+        (9.5, 1 / 3, 1.0, "moved"),
+    ],
+)
+def test_where_the_iou_would_fall_the_start_is_returned(middle, step, right, outcome):
+    points = _square(middle, step)
+    result = _judged(points, MASK, right * RIGHT)
+    assert result.fit.outcome == outcome
+    if outcome == "moved":
+        assert result.fit.best_step == 1
+        assert result.fit.loss_after == 1.0
+        assert result.fit.moved_max == pytest.approx(abs(right) / 24.0)
+    else:
+        np.testing.assert_array_equal(result.points, points)
+        assert result.fit.stop_reason == "not_improved"
+        assert result.fit.best_step == 0
+        assert result.fit.iou_after == result.fit.iou_before
+        assert result.fit.loss_after == result.fit.loss_before == 2.0
+        assert result.fit.moved_max == 0.0
+        assert result.fit.chamfer_to_initial == 0.0
+        assert result.trust.verdict == "unchanged"
+
+
+def test_an_iterate_after_the_loss_stopped_being_a_number_is_never_taken():
+    result = _judged(_square(28.0), MASK, RIGHT, losses=[2.0, 1.0, np.nan])
+    assert result.fit.stop_reason == "non_finite"
+    assert result.fit.steps == 1
+    assert result.fit.losses == [2.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("losses", "message"),
+    [([np.nan], "the loss of the start"), ([1.0, np.nan], "after the first step")],
+)
+def test_a_loss_that_is_never_a_number_is_an_error(losses, message):
+    with pytest.raises(TsoError, match=message):
+        _judged(_square(28.0), MASK, losses=losses)
+
+
+@pytest.mark.parametrize(
+    ("parts", "reason"),
+    [
+        (dict(settings=RefineConfig(preset="paper").settings()), "mode"),
+        (dict(settings=RefineConfig(mode="latent").settings()), "mode"),
+        (dict(interrupted=True), "interrupted"),
+        (dict(out_of_time=True), "time"),
+        (dict(symmetry="unchecked"), "time"),
+        (dict(), "steps"),
+    ],
+)
+def test_a_result_without_a_confidence_has_a_reason(parts, reason):
+    trust = _judged(_square(28.0), MASK, RIGHT, **parts).trust
+    assert trust.reason == reason
+    assert trust.verdict is None
+    assert trust.confidence is None
+    assert trust.displacement_taken == 1.0
+    assert trust.says
+
+
+def test_of_fewer_than_16_points_there_is_no_confidence(chair):
+    points, config = chair.points, RefineConfig(symmetry="none")
+    few, enough = (refine(some, chair.view, config=config) for some in (points[:15], points[:16]))
+    assert few.trust.reason == "points"
+    assert few.trust.confidence is None
+    assert enough.trust.confidence is not None
+
+
+@pytest.fixture(scope="module")
+def optimised(chair):
+    """The chair after its optimisation: what `judge` is given."""
+    settings = RefineConfig(symmetry="none").settings()
+    cloud = Cloud(chair.points, "points").controlled()
+    diagnosis = examine(cloud, [chair.view], [chair.view])
+    weighed = weigh(prepare(cloud, [chair.view], settings), settings)
+    return weighed, settings, diagnosis, *optimise(weighed, settings, settings.steps)
+
+
+def _of(optimised, view, accept_doubtful=False, **changed):
+    weighed, settings, diagnosis, found, problem = optimised
+    settings = replace(settings, accept_doubtful=accept_doubtful)
+    diagnosis = replace(diagnosis, **changed)
+    return judge(weighed, problem, found, [view], diagnosis, settings, {})
+
+
+@pytest.mark.parametrize(
+    ("confidence", "accepted", "share", "outcome"),
+    [
+        (0.1, False, 0.0, "refused"),
+        (0.2, False, 0.5, "moved"),
+        (0.3, False, 1.0, "moved"),
+        (0.1, True, 1.0, "moved"),
+    ],
+)
+def test_of_a_doubtful_displacement_a_share_is_taken(
+    chair, optimised, confidence, accepted, share, outcome
+):
+    whole = _of(optimised, chair.view)
+    assert whole.trust.verdict == "improved"
+    found = dict(of_views=(Finding("opengl"),), outvoted=True, most_confidence=confidence)
+    result = _of(optimised, chair.view, accepted, **found)
+    assert result.fit.outcome == outcome
+    assert result.trust.verdict == "doubtful"
+    assert result.trust.displacement_taken == pytest.approx(share)
+    np.testing.assert_allclose(
+        result.points - chair.points, share * (whole.points - chair.points), atol=1e-12
+    )
+    assert (result.fit.stop_reason == "doubtful") == (outcome == "refused")
+    assert result.findings == (Finding("opengl"),)
+
+
+def test_the_loss_of_a_displacement_taken_in_part_is_of_what_is_taken(chair, optimised):
+    found = dict(of_views=(Finding("opengl"),), outvoted=True, most_confidence=0.2)
+    part, whole = _of(optimised, chair.view, **found), _of(optimised, chair.view)
+    assert whole.fit.loss_after < part.fit.loss_after < whole.fit.loss_before
+
+
+def test_a_view_that_the_others_contradict_is_a_finding(chair, optimised):
+    weighed, *others = optimised
+    contradicted = replace(weighed, weights=ViewWeights([0.3], [1.0]))
+    result = _of((contradicted, *others), chair.view)
+    assert result.findings == (Finding("contradicted", (0,), values={"weight": 0.3}),)
+    assert result.views[0].inlier_weight == 0.3
+    tolerated = replace(weighed, weights=ViewWeights([0.5], [1.0]))
+    assert _of((tolerated, *others), chair.view).findings == ()
+
+
+def test_for_a_cloud_that_covers_its_mask_there_is_nothing_to_do():
+    points = _square(32.0, 1 / 3)
+    result = refine(points, MASK, config=RefineConfig(steps=3, symmetry="none"))
+    assert result.fit.stop_reason == "nothing_to_do"
+    assert result.fit.outcome == "unchanged"
+    assert result.fit.best_step == 0
+    assert result.fit.loss_before == 0.0
+    assert result.fit.moved_mean == 0.0
+    np.testing.assert_array_equal(result.points, points)
+
+
+@pytest.mark.parametrize("preset", ["best", "paper"])
+def test_ctrl_c_before_the_optimisation_leaves_the_cloud_as_it_was(chair, preset):
+    settings = RefineConfig(preset=preset, refine_camera=True).settings()
+    result = run(as_scene(chair.points, chair.view), settings, Clock(interrupted=True))
+    assert result.fit.stop_reason == "interrupted"
+    assert result.fit.steps == 0
+    assert result.cameras == (chair.view.camera,)
+    np.testing.assert_array_equal(result.points, chair.points)
+    assert set(result.cost.seconds) == {"prepare", "optimise", "judge"}

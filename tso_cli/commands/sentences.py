@@ -1,0 +1,194 @@
+"""Findings and results as sentences. Only this room knows which option mends what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..diagnosis.confidence import FINDING
+from ..diagnosis.examine import NoOverlapError
+from ..diagnosis.findings import Finding
+from ..diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
+from ..diagnosis.placement import describe_box
+from ..errors import InputError
+from ..refinement import RefineResult
+
+# A largest displacement under this share of the object's size is worth a warning.
+SMALL_DISPLACEMENT = 1e-3
+# Pairs of masks and cameras that are named.
+MOST_PAIRS = 3
+GENERAL_ADVICE = (
+    "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and "
+    "units, or look at the numbers with --check"
+)
+# Options that mend what a note says.
+HINTS = {
+    "depth-unit": " (--depth-scale)",
+    "assumed-picture": " (--camera FILE)",
+}
+
+
+@dataclass(frozen=True)
+class Words:
+    """Makes sentences about views with these ``names``; ``inverted`` by --invert-mask."""
+
+    names: Sequence[str]
+    inverted: bool = False
+
+    def suspicion(self, findings: Sequence[Finding]) -> str:
+        """What may be wrong with the input, and what to try; "" without findings."""
+        if not findings:
+            return ""
+        alternatives = findings[0].name in HYPOTHESES
+        if not alternatives or len(findings[0].views) < len(self.names):
+            parts = map(self.suspect, findings)
+            return "; ".join(f"it looks as if {one['what']}: try {one['option']}" for one in parts)
+        first, *others = map(self.suspect, findings)
+        options = [first["option"], *(other["option"] for other in others)]
+        return f"it looks as if {first['what']}: try {', or '.join(options)}"
+
+    def suspect(self, finding: Finding) -> dict[str, Any]:
+        """For JSON: what may be wrong in words, what mends it, and the IoU then (0: unknown)."""
+        what, option = self._what_and_option(finding)
+        return {"what": what, "option": option, "score": finding.score}
+
+    def _what_and_option(self, finding: Finding) -> tuple[str, str]:
+        name = self.names[finding.views[0]] if finding.views else ""
+        if finding.name == "box":
+            return f"{name} is the bounding box of the object", "a mask of its outline"
+        if finding.name == "occluder":
+            return f"something hides a part of the object in {name}", "--ignore FILE"
+        if finding.name == "mispaired":
+            return self._pairs(finding)
+        alone = len(finding.views) < len(self.names)
+        if finding.without:
+            given = self._option(finding.without)
+            what, option = f"{given} is wrong", f"without {given}"
+            if alone and not finding.without.view:
+                option += f" for {name}"
+        else:
+            what, option = HYPOTHESES[finding.name].says, f"--assume {finding.name}"
+            option += f"@{name}" if alone else ""
+        return f"for {name} alone {what}" if alone else what, option
+
+    def _option(self, assumption: Assumption) -> str:
+        by_option = self.inverted and assumption == INVERTED
+        return "--invert-mask" if by_option else f"--assume {assumption.text}"
+
+    def _pairs(self, finding: Finding) -> tuple[str, str]:
+        names, pairs = self.names, finding.pairs
+        if len(set(names)) < len(names):
+            names = [f"view {number}" for number in range(1, len(names) + 1)]
+        shown = [
+            f"{names[mask]} with the camera that {names[camera]} has now"
+            for mask, camera in pairs[:MOST_PAIRS]
+        ]
+        if len(pairs) > MOST_PAIRS:
+            shown.append(f"and so on, {len(pairs)} in all")
+        what = "masks and cameras are paired wrongly"
+        if len(pairs) == len(names):
+            # All views of a cloud that is turned show what other views show of a right one.
+            what += ", or the cloud is turned"
+        return what, ", ".join(shown)
+
+    def note(self, finding: Finding) -> str:
+        """A finding that is worth reading."""
+        names = ", ".join(self.names[view] for view in finding.views)
+        return f"{f'{names}: ' if names else ''}{finding.says}{HINTS.get(finding.name, '')}"
+
+    def notes(self, findings: Sequence[Finding]) -> list[str]:
+        """A sentence for each finding that is no suspicion."""
+        suspected = self.suspected(findings)
+        return [self.note(finding) for finding in findings if finding not in suspected]
+
+    def suspected(self, findings: Sequence[Finding]) -> list[Finding]:
+        """What was found to be suspicious; an unsure camera is known from the start."""
+        return [one for one in findings if one.suspicious and one.name != "unsure-camera"]
+
+    def no_overlap(self, error: NoOverlapError) -> InputError:
+        """The error with advice by options."""
+        advice = self.suspicion(error.diagnosis.suspicious) or GENERAL_ADVICE
+        if error.part:
+            advice = (
+                f"it meets a part of the mask ({describe_box(error.part)}): is the rest something "
+                "else? Erase it, or leave it out by --ignore FILE"
+            )
+        return InputError(f"{error.problem}; {advice}")
+
+    def reason(self, result: RefineResult) -> str:
+        """Why a result is doubtful or has no confidence; "" if there is no reason."""
+        trust = result.trust
+        if trust.reason == FINDING:
+            return self.suspicion(self.suspected(result.findings))
+        return trust.says + (" (--refine-camera)" if trust.reason == "camera" else "")
+
+    def warnings(self, result: RefineResult) -> list[str]:
+        """One sentence each, to read before the result is used."""
+        fit, trust, reason = result.fit, result.trust, self.reason(result)
+        messages = [text] if (text := _of_course(result)) else []
+        if trust.verdict == "doubtful":
+            # A suspicious input makes a result doubtful whatever the confidence.
+            sure = ""
+            if trust.confidence is not None and trust.reason != FINDING:
+                sure = f" (confidence {shown(trust.confidence)})"
+            taken = ", so the cloud is left as it was" if fit.outcome == "refused" else ""
+            if 0.0 < trust.displacement_taken < 1.0:
+                share = f"{100.0 * trust.displacement_taken:.0f} %"
+                taken = f", so only {share} of the displacement is taken"
+            messages.append(f"the result is doubtful{sure}{taken}: {reason}")
+        doubt = "unsure-camera" if trust.reason == "unsure-camera" else ""
+        notes = [finding for finding in result.findings if finding.name != doubt]
+        return messages + self.notes(notes)
+
+
+def shown(confidence: float) -> str:
+    """With two places, rounded down: what is printed as 0.50 is not doubtful."""
+    return f"{confidence:.4f}"[:4]
+
+
+def why_unmoved(result: RefineResult) -> str | None:
+    """Why no point moved, in words; None where points did."""
+    fit = result.fit
+    if fit.best_step:
+        return None
+    masks = "the mask shows" if len(result.views) == 1 else "the masks show"
+    if fit.outcome == "refused":
+        return "the displacement is doubtful (--accept-doubtful takes it all the same)"
+    return {
+        "max_steps": "no steps were asked for",
+        "interrupted": f"interrupted at step {fit.steps}, before one lowered the loss",
+        "non_finite": f"the loss was not a number after step {fit.steps}, and no loss before was "
+        "lower than the loss of the start",
+        "out_of_time": f"the budget's seconds were over after {fit.steps} steps, before one agreed "
+        f"better with what {masks}",
+        "nothing_to_do": f"the cloud already agrees with all that {masks}",
+        "not_improved": f"none of {fit.steps} steps agrees better with what {masks} than the start "
+        "does",
+        "doubtful": "the displacement is doubtful",
+    }[fit.stop_reason]
+
+
+def _of_course(result: RefineResult) -> str | None:
+    """What is worth saying of the course of the optimisation."""
+    fit, steps = result.fit, result.settings.steps
+    reason = why_unmoved(result)
+    no_confidence = "" if result.trust.verdict else ": there is no confidence in the result"
+    if reason and fit.outcome != "refused":
+        what = "nothing to do" if fit.stop_reason == "nothing_to_do" else "nothing moved"
+        return f"{what}: {reason}; the cloud is as it was"
+    if fit.stop_reason == "interrupted":
+        best = "start" if reason else "best so far"
+        return f"interrupted at step {fit.steps} of {steps}: the result is the {best}"
+    if fit.stop_reason == "out_of_time":
+        return f"the budget ended after {fit.steps} of {steps} steps{no_confidence}"
+    if result.symmetry.outcome == "unchecked":
+        return f"the budget left no time for the symmetry check{no_confidence}"
+    if fit.stop_reason == "non_finite":
+        return (
+            f"the loss was not a number after step {fit.steps}: the result is the best before that"
+        )
+    if not reason and fit.moved_max < SMALL_DISPLACEMENT:
+        share = f"{100.0 * SMALL_DISPLACEMENT:g} %"
+        return f"hardly anything moved: no point by more than {share} of the object's size"
+    return None

@@ -1,0 +1,86 @@
+"""What the diagnosis reports: findings, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from .hypotheses import HYPOTHESES, Assumption
+
+# What makes a result doubtful, beside hypotheses.
+SUSPICIOUS_SYMPTOMS = {
+    "box": "the mask is the bounding box of the object, not its outline",
+    "occluder": "something hides a part of the object",
+    "mispaired": "masks and cameras are paired wrongly",
+    "unsure-camera": "the fitted camera is unsure: {why}",
+}
+# What is worth reading before a result is used.
+NOTES = {
+    "photo": "looks like a photo, grey in many places; expected a mask, light on the object and "
+    "dark around it",
+    "coarse": "shows the object with only {pixels} pixels: details smaller than 1/{side} of its "
+    "size cannot be seen",
+    "single-pixel": "shows the object with a single pixel, which shows where it is and nothing of "
+    "its shape",
+    "specks": "foreground far from the object is left out ({pixels} px)",
+    "behind": "{behind} of {points} points lie behind the camera and take no part",
+    "contradicted": "the other views contradict it, so it counts for little (inlier weight "
+    "{weight:.2f} of 1); is its mask or camera wrong?",
+    "scale": "the cloud's longest side is {size:.3g} and its distance from the camera "
+    "{distance:.3g}; are both in one unit?",
+    "depth-unit": "the median depth on the object is {observed:.3g}, the cloud's depths are "
+    "{nearest:.3g} to {farthest:.3g}; is the scale of the depth map right?",
+    "assumed-picture": "the network infers sizes from the whole picture, which without a camera "
+    "file is taken for a picture of the canonical camera",
+    "outliers": "{count:,} points lie far from the rest: they stay where they are, and no measure "
+    "counts them",
+    "not-a-mesh": "{why}, so the vertices are taken for a cloud",
+}
+SYMPTOMS = SUSPICIOUS_SYMPTOMS | NOTES
+"""Name of a finding that is not a hypothesis -> words."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that may be wrong with the input, or that limits what it shows.
+
+    Attributes
+    ----------
+    name : of a hypothesis (`HYPOTHESES`) or of a symptom (`SYMPTOMS`).
+    views : numbers of the views that it is about; all views where it is about the whole input.
+    score : IoU of cloud and masks in coarse cells if the hypothesis is right; 0 if unknown.
+    gain : how much higher the score is than the IoU as the input is given.
+    without : the assumption that was given and is probably wrong; None if the hypothesis is
+        probably right.
+    pairs : of "mispaired" (mask, camera): numbers of the view whose mask belongs to the camera of
+        the other view.
+    values : the numbers in the words of a symptom.
+    """
+
+    name: str
+    views: tuple[int, ...] = ()
+    score: float = 0.0
+    gain: float = 0.0
+    without: Assumption | None = None
+    pairs: tuple[tuple[int, int], ...] = ()
+    values: Mapping[str, float | str] = field(default_factory=dict)
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether it makes a result doubtful."""
+        return self.name in HYPOTHESES or self.name in SUSPICIOUS_SYMPTOMS
+
+    @property
+    def says(self) -> str:
+        """In words, without the names of views."""
+        if self.without:
+            return f"the assumption {self.without.text} is wrong"
+        if self.name in HYPOTHESES:
+            return HYPOTHESES[self.name].says
+        return SYMPTOMS[self.name].format(**self.values)
+
+    def __str__(self) -> str:
+        views = ", ".join(map(str, self.views))
+        where = f" (view{'s' * (len(self.views) != 1)} {views})" if views else ""
+        score = f": IoU {self.score:.2f}, {self.gain:+.2f}" if self.score else ""
+        return f"{self.says}{where}{score}"

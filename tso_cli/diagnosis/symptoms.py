@@ -1,0 +1,153 @@
+"""Symptoms: what a cloud, a mask or a camera looks like when something is wrong with it.
+
+Each function looks at one thing and returns a finding, or None.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.arrays import Array
+from ..geometry.points import longest_side
+from ..geometry.view import View, object_box
+from .cells import Outline, on_known_pixels
+from .findings import Finding
+from .occlusion import occluded
+from .placement import Placement
+
+
+class CoarseMask:
+    """A mask with few pixels. By the longer side alone a mask is coarse only if its pixels are
+    wider than the spacing of the projected points.
+    """
+
+    FEWEST_PIXELS = 16  # of the foreground
+    FEWEST_ACROSS = 16  # along its longer side
+
+
+class BoundingBox:
+    """A mask that fills its bounding box is probably a detector's box, unless the cloud does too.
+
+    The cloud's box is divided into cells, without the outermost points at each side.
+    """
+
+    MASK_FILLED = 0.99
+    CLOUD_FILLED = 0.92  # of the cells
+    CELLS = 10  # along the longer side of the cloud's box
+    TAILS = 0.01  # of the points
+    FEWEST_POINTS, FEWEST_PIXELS = 512, 16  # fewer, along the mask's shorter side, show no box
+
+
+class Photo:
+    """A mask with more grey than a soft outline has: pixels whose neighbours are grey too."""
+
+    LEAST_SHARE = 1.05  # of the object or of the background, whichever is smaller
+    GREY = (0.1, 0.9)
+    ROWS = 256  # rows or columns that are counted, about
+    FEWEST_PIXELS = 400  # of the smaller of object and background
+
+
+# A cloud is implausibly near or far at a distance outside this range, in its longest sides.
+PLAUSIBLE_DISTANCES = (0.2, 1000.0)
+# A depth map is of another unit if its median is outside the depths of the cloud by this factor.
+DEPTH_FACTOR = 2.0
+
+
+def photo(view: View, number: int) -> Finding | None:
+    """A mask that is grey over more than what it shows."""
+    step = max(1, min(view.mask.shape) // Photo.ROWS)
+    some, inside = view.mask[::step, ::step], view.inside[::step, ::step]
+    known = np.ones(some.shape, bool) if view.known is None else view.known[::step, ::step]
+    smaller = min(np.count_nonzero(inside), np.count_nonzero(known & ~inside))
+    grey = (some > Photo.GREY[0]) & (some < Photo.GREY[1]) & known
+    # Every pixel of a thin part is at the outline, and has light or dark neighbours.
+    middle = grey[1:-1, 1:-1]
+    grey = middle & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
+    if smaller < Photo.FEWEST_PIXELS or np.count_nonzero(grey) <= Photo.LEAST_SHARE * smaller:
+        return None
+    return Finding("photo", (number,))
+
+
+def coarse(view: View, number: int, points: int) -> Finding | None:
+    """A mask too coarse for a cloud of ``points`` points."""
+    pixels = int(view.inside.sum())
+    left, top, right, bottom = view.box()
+    side = round(max(right - left, bottom - top))
+    # Front and back of the surface both project: with over two points per pixel their spacing is
+    # below a pixel.
+    if pixels >= CoarseMask.FEWEST_PIXELS and (
+        side >= CoarseMask.FEWEST_ACROSS or points <= 2 * pixels
+    ):
+        return None
+    if side == 1:
+        return Finding("single-pixel", (number,))
+    return Finding("coarse", (number,), values={"pixels": pixels, "side": side})
+
+
+def specks(view: View, number: int) -> Finding | None:
+    """Foreground far from the object, which is left out."""
+    return Finding("specks", (number,), values={"pixels": view.specks}) if view.specks else None
+
+
+def behind(placement: Placement, number: int) -> Finding | None:
+    """Some points, but not all, behind the camera."""
+    if not 0 < placement.behind < placement.points:
+        return None
+    values = {"behind": placement.behind, "points": placement.points}
+    return Finding("behind", (number,), values=values)
+
+
+def scale(points: Array, view: View, number: int) -> Finding | None:
+    """A cloud [N, 3] implausibly near or far for its size: the camera may be in another unit."""
+    camera = view.camera
+    size = longest_side(points)
+    middle = (points.min(0) + points.max(0)) / 2.0
+    distance = float((camera.R @ middle + camera.t)[2])
+    nearest, farthest = PLAUSIBLE_DISTANCES
+    if camera.model != "perspective" or distance <= 0.0:
+        return None
+    if nearest < distance / size < farthest:
+        return None
+    return Finding("scale", (number,), values={"size": size, "distance": distance})
+
+
+def depth_unit(points: Array, view: View, number: int) -> Finding | None:
+    """A depth map that disagrees with the cloud [N, 3] by a factor."""
+    if view.depth is None:
+        return None
+    observed = float(np.nanmedian(np.where(view.mask > 0.5, view.depth, np.nan)))
+    depth = view.camera.project(points)[1]
+    nearest, farthest = float(depth.min()), float(depth.max())
+    if nearest / DEPTH_FACTOR < observed < DEPTH_FACTOR * farthest:
+        return None
+    values = {"observed": observed, "nearest": nearest, "farthest": farthest}
+    return Finding("depth-unit", (number,), values=values)
+
+
+def bounding_box(outline: Outline, view: View, number: int, points: Array) -> Finding | None:
+    """A mask that is a filled rectangle, where the silhouette of ``points`` [N, 3] is not.
+
+    ``view`` is the outline's view as it is meant.
+    """
+    left, top, right, bottom = object_box(view.inside)
+    if outline.may_be_inverted or min(right - left, bottom - top) < BoundingBox.FEWEST_PIXELS:
+        return None
+    if view.inside[top:bottom, left:right].mean() < BoundingBox.MASK_FILLED:
+        return None
+    pixels = on_known_pixels(view.camera.project(points)[0], view)
+    if len(pixels) < BoundingBox.FEWEST_POINTS:
+        return None
+    low, high = np.quantile(pixels, [BoundingBox.TAILS, 1.0 - BoundingBox.TAILS], axis=0)
+    size = np.maximum(high - low, 1e-9)
+    cells = np.ceil(BoundingBox.CELLS * size / size.max())
+    places = np.floor((pixels - low) / size * cells)
+    inside = places[((places >= 0.0) & (places < cells)).all(1)]
+    if len(np.unique(inside, axis=0)) >= BoundingBox.CLOUD_FILLED * float(cells.prod()):
+        return None
+    return Finding("box", (number,))
+
+
+def occluder(view: View, number: int, points: Array) -> Finding | None:
+    """Something with a straight edge in front of the object, a cloud of ``points`` [N, 3]."""
+    score = occluded(on_known_pixels(view.camera.project(points)[0], view), view)
+    return None if score is None else Finding("occluder", (number,), score=score)

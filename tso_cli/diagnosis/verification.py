@@ -1,0 +1,83 @@
+"""Verification: what two short optimisations say of a hypothesis, and of a mirror plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ..cloud.smooth_field import SmoothField
+from ..errors import InputError
+from ..geometry.view import View
+from ..optimisation.comparison import final_losses
+from ..optimisation.problem import Problem
+from ..optimisation.settings import Settings
+from ..optimisation.symmetry import SymmetryCheck, SymmetryDecision, SymmetryOutcome
+from ..optimisation.view_weights import ViewWeights
+from .examine import Diagnosis
+from .hypotheses import HYPOTHESES, Assumption, as_meant
+
+# A weak hypothesis is confirmed if at most this share of the final loss remains under it.
+LOSS_LEFT = 0.62
+# A mirror plane is kept if the final loss per view grows at most by this factor when the flipped
+# views are added. Several masks need the plane less than one mask does.
+LOSS_RATIO_OF_ONE, LOSS_RATIO_OF_SEVERAL = 1.15, 1.1
+
+
+def verify_hypothesis(
+    diagnosis: Diagnosis,
+    problem: Problem,
+    read: Sequence[View],
+    settings: Settings,
+    until: float = math.inf,
+) -> Diagnosis:
+    """The diagnosis, whose weak hypothesis is confirmed where the optimisation says so too.
+
+    Silhouettes may agree somewhat better under a hypothesis by chance. Two short optimisations are
+    compared, as given and under the hypothesis, both without a mirror plane. An object of another
+    shape fits both about as well; the same object, seen rightly, fits far better.
+
+    Nothing is confirmed with another preset than "best", with depth maps or photos, or without
+    time ``until`` then (`final_losses`). ``read`` are the views as they were read. Raises
+    KeyboardInterrupt where Ctrl-C ended an optimisation.
+    """
+    weak = diagnosis.weak
+    if weak is None or not (settings.staged and settings.steps and problem.masks_alone):
+        return diagnosis
+    start = problem.cloud.start
+    weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start).loss
+    assumed = [Assumption(HYPOTHESES[weak.name])]
+    without_plane = problem.with_symmetry(SymmetryDecision("not_asked"))
+    try:
+        changed = without_plane.with_views(as_meant(view, assumed) for view in read)
+        problems = problem.without_flipped(), changed
+        losses = final_losses(problems, weights, SmoothField(start), until)
+    except InputError:
+        # The mask shows nothing where the hypothesis has its object.
+        return diagnosis
+    confirmed = losses is not None and losses[1] < LOSS_LEFT * losses[0]
+    return replace(diagnosis, confirmed=confirmed)
+
+
+def verify_plane(
+    problem: Problem, weights: Sequence[float], field: SmoothField, until: float = math.inf
+) -> Problem:
+    """The problem, without a mirror plane that was found if the views contradict it.
+
+    Two short optimisations are compared, with and without the flipped views. A symmetric object
+    fits both views at once. If the object is not symmetric, a view and its flipped view contradict
+    each other, and more loss remains. Without time ``until`` then (`final_losses`) there is no
+    check and no plane.
+
+    ``weights`` are of the given views; ``field`` is of the start. Raises KeyboardInterrupt where
+    Ctrl-C ended an optimisation.
+    """
+    losses = final_losses((problem, problem.without_flipped()), weights, field, until)
+    if losses is None:
+        return problem.with_symmetry(replace(problem.symmetry, outcome="unchecked"))
+    ratio = losses[0] / max(2.0 * losses[1], 1e-300)
+    limit = LOSS_RATIO_OF_ONE if len(weights) == 1 else LOSS_RATIO_OF_SEVERAL
+    passed = ratio <= limit or losses[0] == 0.0
+    outcome: SymmetryOutcome = "used" if passed else "contradicted"
+    check = SymmetryCheck(ratio, limit)
+    return problem.with_symmetry(replace(problem.symmetry, outcome=outcome, check=check))

@@ -1,0 +1,75 @@
+"""The options that commands of studies share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of a study's command.
+
+    Parameters
+    ----------
+    kind : type of the value; bool for a flag, which has none.
+    help : names the default where ``default`` is None or empty.
+    least, most : of a number. choices : the only values, if there are any.
+    multiple : the option may be repeated; `Study.plan` gets a tuple without duplicates.
+    name : of the parameter of `Study.plan`, where it differs from the flag's.
+    """
+
+    flag: str
+    help: str = ""
+    kind: type = str
+    default: Any = None
+    choices: tuple[str, ...] = ()
+    least: int | None = None
+    most: int | None = None
+    required: bool = False
+    multiple: bool = False
+    name: str = ""
+
+    @property
+    def parameter(self) -> str:
+        return self.name or self.flag.removeprefix("--").replace("-", "_")
+
+
+MESHES_HELP = "Folder with CATEGORY/NAME for every name of the split"
+MESHES = Option("--meshes", f"{MESHES_HELP}.", Path, required=True)
+QUICK_MESHES = Option("--meshes", f"{MESHES_HELP}; not with --quick.", Path)
+SPLIT = Option("--split", "JSON file or folder of lists.  [default: the shipped network's]", Path)
+CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
+LIMIT = Option("--limit", "At most N shapes of each category.", int, least=1)
+SEED = Option("--seed", "Seed of everything random.", int, 0, least=0, most=2**63 - 1)
+DEVICE = Option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu")
+COMMON = (MESHES, SPLIT, LIMIT, SEED)
+
+
+def given_meshes(folder: Path | None) -> Path:
+    """The folder of `QUICK_MESHES`; InputError where it is missing."""
+    if folder is None:
+        expected = "expected a folder of meshes (or --quick, for the shipped examples)"
+        raise InputError(f"--meshes is missing, {expected}")
+    return folder
+
+
+def part(default: str, *choices: str) -> Option:
+    """The list of the split whose shapes are evaluated."""
+    return Option("--part", default=default, choices=choices or ("test", "validation"))
+
+
+def categories(*default: str, note: str = "3, or all of --split") -> Option:
+    text = "May be repeated." + ("" if default else f"  [default: {note}]")
+    return Option("--category", text, default=default, multiple=True, name="categories")
+
+
+def views(default: int) -> Option:
+    return Option("--views", "Random views of each shape.", int, default, least=1)
+
+
+def pictures(what: str) -> Option:
+    return Option("--pictures", f"Draw {what} here (.png).", Path)

@@ -1,0 +1,60 @@
+"""Short optimisations, loosely held and without detail, whose final losses are compared."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+
+from ..cloud.smooth_field import SmoothField
+from .presets import BEST_POINTS, COMPARISON, COMPARISON_STEPS
+from .problem import Problem
+from .stages import CoarseToFine
+
+# The share of the time left that a comparison may take.
+TIME_SHARE = 0.5
+# So many steps show how long an optimisation will take, up to this factor.
+TIMED_STEPS, TIMING_FACTOR = 6, 1.5
+
+
+def final_losses(
+    problems: tuple[Problem, Problem],
+    weights: Sequence[float],
+    field: SmoothField,
+    until: float = math.inf,
+) -> tuple[float, float] | None:
+    """The losses that two problems of the same cloud end with after a few steps.
+
+    ``weights`` are of the given views; ``field`` is of the start. None if the two optimisations do
+    not fit into a part of the time left ``until`` then (`time.perf_counter`).
+
+    Raises KeyboardInterrupt where Ctrl-C ended one of them.
+    """
+    runs = [
+        CoarseToFine(problem, weights, field, COMPARISON, BEST_POINTS.learning_rate, follow=False)
+        for problem in problems
+    ]
+    end = time.perf_counter() + TIME_SHARE * (until - time.perf_counter())
+    if end < math.inf and not _in_time(runs[0], end):
+        return None
+    losses = []
+    for run in runs:
+        optimised, _ = run.run(COMPARISON_STEPS, until=end)
+        if optimised.interrupted:
+            raise KeyboardInterrupt
+        if optimised.out_of_time:
+            return None
+        losses.append(optimised.best_loss)
+    return losses[0], losses[1]
+
+
+def _in_time(first: CoarseToFine, end: float) -> bool:
+    """Whether both are done by the ``end``; the second takes at most as long as the ``first``."""
+    # The first time, factors are computed that later runs use.
+    for steps in (0, TIMED_STEPS):
+        if (started := time.perf_counter()) >= end:
+            return False
+        if first.run(steps)[0].interrupted:
+            raise KeyboardInterrupt
+    now = time.perf_counter()
+    return now + TIMING_FACTOR * COMPARISON_STEPS / TIMED_STEPS * (now - started) < end

@@ -1,0 +1,106 @@
+"""The optimisation of a prepared problem: which views count how much, how long, and by what."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cloud.smooth_field import SmoothField
+from ..geometry.arrays import Array
+from ..losses.chamfer import ChamferToStart
+from ..losses.photometric import Photo, PhotometricTerm
+from .adam import Adam
+from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
+from .objective import SilhouetteObjective
+from .parameters import PointParameters
+from .presets import Stage
+from .problem import Problem
+from .settings import Settings
+from .stages import CoarseToFine, network_objective
+from .view_weights import ViewWeights
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A problem with the weights of its views, and the displacement field of its start.
+
+    weights : of the given views. field : None but for the default preset in points mode.
+    """
+
+    problem: Problem
+    weights: ViewWeights
+    field: SmoothField | None
+
+
+def weigh(problem: Problem, settings: Settings) -> Weighed:
+    """The weights of the given views, by their silhouettes of the start."""
+    start, weights = problem.cloud.start, ViewWeights.even(len(problem.given))
+    if settings.preset == "best":
+        weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start)
+    return Weighed(problem, weights, SmoothField(start) if settings.staged else None)
+
+
+def optimise(
+    weighed: Weighed,
+    settings: Settings,
+    steps: int,
+    network: Parameters | None = None,
+    on_progress: Progress | None = None,
+    until: float = math.inf,
+) -> tuple[Optimised, Problem]:
+    """Move the cloud, or the ``network`` that predicts it, until it agrees with its views.
+
+    Returns what was found, and the problem with its last windows.
+    """
+    problem, start, weights = weighed.problem, weighed.problem.cloud.start, weighed.weights.loss
+    chamfer: list[Term] = []
+    if settings.gamma:
+        chamfer = [_Weighted(settings.gamma, ChamferToStart(start))]
+    if weighed.field:
+        photos = _photos(problem, weights)
+        colours = np.asarray(problem.cloud.colours, dtype=np.float64)
+
+        def stage_terms(points: Array, stage: Stage) -> list[Term]:
+            of_photos = [PhotometricTerm.at(one, colours, points, stage.blur) for one in photos]
+            return [*chamfer, *of_photos]
+
+        coarse_to_fine = CoarseToFine(
+            problem,
+            weights,
+            weighed.field,
+            settings.coarse_to_fine,
+            settings.learning_rate,
+            observations=problem.observations(weights),
+            stage_terms=stage_terms,
+        )
+        return coarse_to_fine.run(steps, on_progress, until)
+    term: Term = SilhouetteObjective(problem.resampled, problem.all_weights(weights))
+    if settings.preset == "best":
+        term = network_objective(start, problem.targets(weights))
+    parameters = network or PointParameters(start, Adam(settings.learning_rate))
+    return minimise(parameters, sum_of([term, *chamfer]), steps, on_progress, until), problem
+
+
+@dataclass(frozen=True, eq=False)
+class _Weighted:
+    weight: float
+    term: Term
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        value, gradient = self.term(points)
+        return self.weight * value, self.weight * gradient
+
+
+def _photos(problem: Problem, weights: Sequence[float]) -> list[Photo]:
+    """The photos of the given views, if the cloud has colours."""
+    if problem.cloud.colours is None:
+        return []
+    photos = []
+    for windowed, weight in zip(problem.given, weights, strict=True):
+        view = windowed.resampled
+        if view.image is not None:
+            photos.append(Photo(view.image, view.target.inside, view.camera, weight))
+    return photos

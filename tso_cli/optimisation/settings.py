@@ -1,0 +1,36 @@
+"""The settings of an optimisation, with every value known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .presets import CoarseToFineConfig
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A `RefineConfig` with a number in place of every None.
+
+    points : most control points, None for all points. seconds : how long the refinement may take.
+    given : names of the values that the caller chose.
+    """
+
+    mode: str
+    preset: str
+    steps: int
+    learning_rate: float
+    gamma: float
+    symmetry: str
+    sigma_sq: float
+    device: str
+    refine_camera: bool
+    accept_doubtful: bool
+    points: int | None
+    seconds: float
+    coarse_to_fine: CoarseToFineConfig
+    given: frozenset[str]
+
+    @property
+    def staged(self) -> bool:
+        """Whether points move from coarse to fine: the default preset in points mode."""
+        return self.preset == "best" and self.mode == "points"

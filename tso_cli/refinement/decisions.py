@@ -1,0 +1,115 @@
+"""What a refinement decided from its scene, why, and what work each decision saved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ..optimisation.loop import Optimised
+from ..optimisation.presets import COMPARISON_STEPS, SHORT_CONTROL_POINTS, default_steps
+from ..optimisation.problem import Problem
+from ..optimisation.resampled_view import FINEST_GRID
+from ..optimisation.settings import Settings
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One of the decisions.
+
+    saving : the share of the work that was saved: of the masks' pixels, the cells of the finest
+        grid, the points, the steps, or the work that a mirror plane takes.
+    """
+
+    what: str
+    choice: str
+    reason: str
+    saving: float
+
+    def document(self) -> dict[str, Any]:
+        return {**asdict(self), "saving": round(self.saving, 3)}
+
+
+def decisions(problem: Problem, settings: Settings, optimised: Optimised) -> tuple[Decision, ...]:
+    """Of the default preset in points mode; other modes and presets decide nothing."""
+    if not settings.staged:
+        return ()
+    return (
+        _window(problem),
+        _grid(problem),
+        _points(problem, settings),
+        _steps(problem, settings, optimised),
+        _symmetry(problem, settings.steps),
+    )
+
+
+def _window(problem: Problem) -> Decision:
+    pixels = sum(view.mask.size for view in problem.views)
+    seen = 0.0
+    for windowed in problem.given:
+        left, top, right, bottom = windowed.resampled.box
+        height, width = windowed.view.mask.shape
+        across = min(right, width - 0.5) - max(left, -0.5)
+        down = min(bottom, height - 0.5) - max(top, -0.5)
+        seen += max(across, 0.0) * max(down, 0.0)
+    share = seen / pixels
+    return Decision(
+        "window", f"{share:.0%} of the masks", "cloud and object are there", 1.0 - share
+    )
+
+
+def _grid(problem: Problem) -> Decision:
+    cells = [windowed.resampled.camera.width for windowed in problem.given]
+    saving = 1.0 - sum(count**2 for count in cells) / (len(cells) * FINEST_GRID**2)
+    reason = "the masks resolve as much"
+    if saving:
+        reason = "the window's pixels, and the control points, resolve no more"
+    choice = ", ".join(f"{count}x{count}" for count in dict.fromkeys(cells))
+    return Decision("cells", f"{choice} in the last stage", reason, saving)
+
+
+def _points(problem: Problem, settings: Settings) -> Decision:
+    cloud = problem.cloud
+    control, of = len(cloud.control_points), len(cloud.measured)
+    if control == of:
+        return Decision("points", f"{control}", "all: there are no more", 0.0)
+    reason = "a mask shows hardly more; the other points follow"
+    if "points" in settings.given:
+        asked = control == settings.points
+        reason = "as asked for" if asked else "a surface has no more control points"
+    elif settings.points == SHORT_CONTROL_POINTS:
+        reason = f"{settings.seconds:g} s are short"
+    return Decision("points", f"{control} of {of}", reason, 1.0 - control / of)
+
+
+def _steps(problem: Problem, settings: Settings, optimised: Optimised) -> Decision:
+    done, masks = optimised.steps, len(problem.given)
+    enough = default_steps(masks)
+    reason = f"{enough} are enough for {masks} mask{'s' * (masks > 1)}"
+    if optimised.interrupted:
+        reason = "interrupted"
+    elif optimised.out_of_time:
+        reason = f"{settings.seconds:g} s were over"
+    elif done + 1 < len(optimised.losses):
+        reason = "the loss was not a number after them"
+    elif done < settings.steps:
+        reason = "no loss was left"
+    elif "steps" in settings.given:
+        reason = "as asked for"
+    return Decision("steps", f"{done}", reason, 1.0 - done / max(done, enough))
+
+
+def _symmetry(problem: Problem, steps: int) -> Decision:
+    """The check and the optimisation see the flipped views too, if there is a plane."""
+    symmetry = problem.symmetry
+    of_each = steps / len(problem.given)
+    check = 3 * COMPARISON_STEPS
+    work = check * (symmetry.check is not None) + (1 + (symmetry.plane is not None)) * of_each
+    saving = 1.0 - work / (check + 2 * of_each)
+    choice = ("checked, " if symmetry.check else "") + ("used" if symmetry.plane else "not used")
+    return Decision("mirror plane", choice, symmetry.reason, saving)
+
+
+def document_of(decided: Sequence[Decision]) -> list[dict[str, Any]]:
+    """For JSON."""
+    return [decision.document() for decision in decided]

@@ -1,0 +1,90 @@
+"""What a refinement is given, in memory: `RefineScene`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..cloud.cloud import Cloud, as_numpy
+from ..diagnosis.findings import Finding
+from ..diagnosis.hypotheses import Assumption, as_meant, assumptions_of
+from ..errors import InputError
+from ..geometry.camera import Camera
+from ..geometry.view import View
+
+
+@dataclass(frozen=True, eq=False)
+class RefineScene:
+    """A cloud and its views, as they were read.
+
+    assumptions : how they are meant. known : findings of those who read them.
+    """
+
+    cloud: Cloud
+    read: tuple[View, ...]
+    assumptions: tuple[Assumption, ...] = ()
+    known: tuple[Finding, ...] = ()
+
+    @cached_property
+    def views(self) -> tuple[View, ...]:
+        """The views as they are meant, in the axes of the cloud."""
+        return tuple(as_meant(view, self.assumptions) for view in self.read)
+
+
+def as_scene(
+    cloud: Any,
+    views: Any,
+    assume: Sequence[str | Assumption] = (),
+    known: Sequence[Finding] = (),
+    name: str = "points",
+) -> RefineScene:
+    """The scene of a `Cloud`, or of points [N, 3] called ``name`` in messages, and its views."""
+    if not isinstance(cloud, Cloud):
+        cloud = Cloud(cloud, name)
+    views = as_views(views)
+    texts = [one for one in assume if isinstance(one, str)]
+    assumptions = [one for one in assume if isinstance(one, Assumption)]
+    assumptions += assumptions_of(texts, [view.name for view in views]) if texts else ()
+    return RefineScene(cloud, views, tuple(assumptions), tuple(known))
+
+
+def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tuple[View, ...]:
+    """One `View` for each mask."""
+    if isinstance(masks, View):
+        masks = [masks]
+    if isinstance(masks, Sequence) and masks and all(isinstance(mask, View) for mask in masks):
+        if cameras is not None:
+            raise InputError("views have their own cameras, expected no others with them")
+        return tuple(masks)
+    if getattr(masks, "ndim", None) == 2:
+        masks = [masks]
+    try:
+        arrays = [_as_array(mask) for mask in masks]
+    except (TypeError, ValueError):
+        raise InputError(
+            "masks are not arrays of numbers, expected one [H, W] or a sequence of them"
+        ) from None
+    if wrong := [list(mask.shape) for mask in arrays if mask.ndim != 2]:
+        raise InputError(f"a mask has shape {wrong[0]}, expected [H, W]")
+    if cameras is None:
+        cameras = [Camera.canonical(mask.shape[1], mask.shape[0]) for mask in arrays]
+    elif isinstance(cameras, Camera):
+        cameras = [cameras]
+    if len(arrays) == 0 or len(arrays) != len(cameras):
+        raise InputError(
+            f"found {len(arrays)} masks and {len(cameras)} cameras, expected one camera for each "
+            "mask"
+        )
+    pairs = zip(arrays, cameras, strict=True)
+    return tuple(
+        View(mask, camera, name=f"mask {number}") for number, (mask, camera) in enumerate(pairs)
+    )
+
+
+def _as_array(mask: Any) -> NDArray[np.float32]:
+    return np.asarray(as_numpy(mask), dtype=np.float32)
