@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from ..cloud.cloud import ControlledCloud
 from ..diagnosis.examine import Diagnosis, NoOverlapError
 from ..diagnosis.placement import LEAST_BOX_IOU, Placement, describe_box
 from ..geometry.arrays import Array
@@ -31,9 +32,9 @@ def check_scene(
     apart = None
     try:
         with blas.one_thread():
-            diagnosis = check(scene.refined, settings)
+            diagnosis, cloud = check(scene.refined, settings)
     except NoOverlapError as error:
-        apart, diagnosis = words.no_overlap(error), error.diagnosis
+        apart, diagnosis, cloud = words.no_overlap(error), error.diagnosis, error.cloud
     for text in words.notes(diagnosis.notes):
         warnings.warn(text, stacklevel=1)
     suspicion = words.suspicion(diagnosis.suspicious)
@@ -48,11 +49,9 @@ def check_scene(
         suspects = [words.suspect(finding) for finding in diagnosis.suspicious]
         verdict = "doubtful" if reason else None
         trust = verdict_document(None, verdict, reason, warned, suspects)
-        options.echo_json(
-            {**_document(scene, settings, diagnosis), **trust, "version": __version__}
-        )
+        options.echo_json({**_document(scene, cloud, diagnosis), **trust, "version": __version__})
     elif not quiet:
-        _print(scene, settings, diagnosis)
+        _print(scene, cloud, diagnosis)
     if apart:
         raise apart
     return reason
@@ -82,7 +81,7 @@ def verdict_document(
     }
 
 
-def _document(scene: Scene, settings: Settings, diagnosis: Diagnosis) -> dict[str, Any]:
+def _document(scene: Scene, cloud: ControlledCloud, diagnosis: Diagnosis) -> dict[str, Any]:
     views = []
     for view, source, placement in zip(
         scene.views, scene.camera_sources, diagnosis.placements, strict=True
@@ -90,7 +89,6 @@ def _document(scene: Scene, settings: Settings, diagnosis: Diagnosis) -> dict[st
         camera = camera_document(view.camera, source)
         placed = {"placement": vars(placement), "meets": placement.meets}
         views.append({"mask": view.name, "camera": camera, **placed})
-    cloud = scene.refined.cloud.controlled(settings.points, scene.views)
     points = cloud.control_points
     return {
         "camera": views[0]["camera"],
@@ -104,8 +102,7 @@ def _document(scene: Scene, settings: Settings, diagnosis: Diagnosis) -> dict[st
     }
 
 
-def _print(scene: Scene, settings: Settings, diagnosis: Diagnosis) -> None:
-    cloud = scene.refined.cloud.controlled(settings.points, scene.views)
+def _print(scene: Scene, cloud: ControlledCloud, diagnosis: Diagnosis) -> None:
     size = cloud.control_points.max(0) - cloud.control_points.min(0)
     if cloud.source.surface:
         count = len(scene.points)

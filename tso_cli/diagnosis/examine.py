@@ -67,12 +67,13 @@ class NoOverlapError(InputError):
 
     Attributes
     ----------
-    problem : what was found, without advice. diagnosis : of the input.
+    problem : what was found, without advice. diagnosis, cloud : of the input.
     part : the box of a connected part of the mask that the cloud meets well, or None.
     """
 
     problem: str
     diagnosis: Diagnosis
+    cloud: ControlledCloud
     part: Box | None = None
 
 
@@ -97,9 +98,11 @@ def examine(
     diagnosis = Diagnosis(placements, notes=(*known, *found))
     if hypotheses:
         diagnosis = _explained(diagnosis, points, read, views, assumptions)
-    for number, (placement, view) in enumerate(zip(placements, views, strict=True)):
+    for placement, view in zip(placements, views, strict=True):
         if problem := why_apart(placement, view):
-            raise _no_overlap(f"{view.name}: {problem}", diagnosis, placement, views[number])
+            error = _no_overlap(f"{view.name}: {problem}", diagnosis, placement, view)
+            error.cloud = cloud
+            raise error
     return diagnosis
 
 

@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.arrays import Array, Box
 from ..geometry.points import bounds
 from ..geometry.view import View
+from ..optimisation.problem import Problem
 
 # Bounding boxes of mask and projected cloud with a lower IoU belong to different cameras, units or
 # axes.
@@ -117,6 +119,19 @@ def part_met(placement: Placement, view: View) -> Box | None:
     ]
     ious = [box_iou(placement.points_box, box) for box in boxes]
     return boxes[int(np.argmax(ious))] if max(ious, default=0.0) >= LEAST_PART_IOU else None
+
+
+def require_plane_through(problem: Problem, symmetry: str) -> None:
+    """Refuse a plane that ``symmetry`` gives, if the cloud does not meet its flipped views."""
+    if problem.symmetry.outcome != "given":
+        return
+    for windowed in problem.flipped:
+        placement = place(problem.cloud.control_points, windowed.view)
+        if why := why_apart(placement, windowed.view):
+            raise InputError(
+                f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; "
+                f"as it is, {windowed.view.name}: {why}"
+            )
 
 
 def describe_box(box: Box) -> str:

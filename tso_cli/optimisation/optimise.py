@@ -24,7 +24,7 @@ from .view_weights import ViewWeights
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class WeighedProblem:
     """A problem with the weights of its views, and the displacement field of its start.
 
     weights : of the given views. field : None but for the default preset in points mode.
@@ -35,16 +35,16 @@ class Weighed:
     field: SmoothField | None
 
 
-def weigh(problem: Problem, settings: Settings) -> Weighed:
+def weigh(problem: Problem, settings: Settings) -> WeighedProblem:
     """The weights of the given views, by their silhouettes of the start."""
     start, weights = problem.cloud.start, ViewWeights.even(len(problem.given))
     if settings.preset == "best":
         weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start)
-    return Weighed(problem, weights, SmoothField(start) if settings.staged else None)
+    return WeighedProblem(problem, weights, SmoothField(start) if settings.staged else None)
 
 
 def optimise(
-    weighed: Weighed,
+    weighed: WeighedProblem,
     settings: Settings,
     steps: int,
     network: Parameters | None = None,
@@ -58,7 +58,7 @@ def optimise(
     problem, start, weights = weighed.problem, weighed.problem.cloud.start, weighed.weights.loss
     chamfer: list[Term] = []
     if settings.gamma:
-        chamfer = [_Weighted(settings.gamma, ChamferToStart(start))]
+        chamfer = [_Times(settings.gamma, ChamferToStart(start))]
     if weighed.field:
         photos = _photos(problem, weights)
         colours = np.asarray(problem.cloud.colours, dtype=np.float64)
@@ -85,7 +85,7 @@ def optimise(
 
 
 @dataclass(frozen=True, eq=False)
-class _Weighted:
+class _Times:
     weight: float
     term: Term
 

@@ -19,7 +19,7 @@ from ..geometry.view import View
 from ..losses.chamfer import ChamferToStart
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
-from ..optimisation.optimise import Weighed
+from ..optimisation.optimise import WeighedProblem
 from ..optimisation.presets import BEST_POINTS, FEWEST_CONTROL_POINTS, STAGES
 from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
@@ -49,7 +49,7 @@ class _Judged:
 
 
 def judge(
-    weighed: Weighed,
+    weighed: WeighedProblem,
     problem: Problem,
     optimised: Optimised,
     given: Sequence[View],
@@ -124,7 +124,7 @@ def judge(
 
 
 def _judged(
-    weighed: Weighed,
+    weighed: WeighedProblem,
     problem: Problem,
     optimised: Optimised,
     given: Sequence[View],

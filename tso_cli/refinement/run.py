@@ -6,13 +6,13 @@ import time
 from dataclasses import replace
 from functools import partial
 
+from ..cloud.cloud import ControlledCloud
 from ..diagnosis.examine import Diagnosis, examine
-from ..diagnosis.placement import place, why_apart
+from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypothesis, verify_plane
-from ..errors import InputError
 from ..optimisation.camera_correction import corrected_cameras
 from ..optimisation.loop import Parameters, Progress
-from ..optimisation.optimise import Weighed, optimise, weigh
+from ..optimisation.optimise import WeighedProblem, optimise, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
 from .clock import Clock
@@ -37,7 +37,10 @@ def run(
     masks do not meet or cannot be used, and TsoError as `judge`.
     """
     with clock.phase("prepare"):
-        diagnosis, problem = _prepared(scene, settings)
+        cloud = scene.cloud.controlled(settings.points, scene.views)
+        diagnosis = _examined(scene, cloud, settings)
+        problem = prepare(cloud, scene.views, settings)
+        require_plane_through(problem, settings.symmetry)
     diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
     steps, report = (0, None) if clock.interrupted else (settings.steps, on_progress)
     with clock.phase("optimise"):
@@ -49,38 +52,43 @@ def run(
         return judge(weighed, problem, optimised, scene.views, diagnosis, settings, clock.seconds)
 
 
-def check(scene: RefineScene, settings: Settings) -> Diagnosis:
+def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, ControlledCloud]:
     """What `run` finds before it moves anything; raises InputError as it does."""
     clock = Clock()
-    diagnosis = _examined(scene, settings)
-    if diagnosis.weak is None:
-        return diagnosis
-    diagnosis, problem = _prepared(scene, settings, diagnosis)
-    diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
+    cloud = scene.cloud.controlled(settings.points, scene.views)
+    diagnosis = _examined(scene, cloud, settings)
+    if diagnosis.weak:
+        problem = prepare(cloud, scene.views, settings)
+        diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
-    return diagnosis
+    return diagnosis, cloud
 
 
-def _examined(scene: RefineScene, settings: Settings) -> Diagnosis:
-    return examine(
-        scene.cloud.controlled(settings.points, scene.views),
-        scene.read,
-        scene.views,
-        scene.assumptions,
-        scene.known,
-        hypotheses=settings.mode == "points",
-    )
+def _examined(scene: RefineScene, cloud: ControlledCloud, settings: Settings) -> Diagnosis:
+    # The network modes place their cloud themselves.
+    hypotheses = settings.mode == "points"
+    of_scene = scene.read, scene.views, scene.assumptions, scene.known
+    return examine(cloud, *of_scene, hypotheses=hypotheses)
 
 
-def _prepared(
-    scene: RefineScene, settings: Settings, diagnosis: Diagnosis | None = None
-) -> tuple[Diagnosis, Problem]:
-    cloud = scene.cloud.controlled(settings.points, scene.views)
-    diagnosis = diagnosis or _examined(scene, settings)
-    problem = prepare(cloud, scene.views, settings)
-    _require_plane_through(problem, settings.symmetry)
-    return diagnosis, problem
+def _verified(
+    scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
+) -> tuple[Diagnosis, WeighedProblem]:
+    """Short optimisations decide about a weak hypothesis, about cameras and a mirror plane."""
+    diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
+    until = clock.until(settings.seconds)
+    if settings.refine_camera and settings.steps:
+        now = time.perf_counter()
+        half = now + TIME_FOR_CAMERAS * (until - now)
+        problem = clock.attempt("cameras", partial(corrected_cameras, problem, half), problem)
+    with clock.phase("prepare"):
+        weighed = weigh(problem, settings)
+    found = settings.symmetry == "auto" and problem.flipped
+    if found and settings.steps and weighed.field:
+        verify = partial(verify_plane, problem, weighed.weights.loss, weighed.field, until)
+        weighed = replace(weighed, problem=clock.attempt("check symmetry", verify, problem))
+    return diagnosis, weighed
 
 
 def _with_hypothesis_verified(
@@ -91,35 +99,3 @@ def _with_hypothesis_verified(
     until = clock.until(settings.seconds)
     verify = partial(verify_hypothesis, diagnosis, problem, scene.read, settings, until)
     return clock.attempt("check mistake", verify, diagnosis)
-
-
-def _verified(
-    scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
-) -> tuple[Diagnosis, Weighed]:
-    """Short optimisations decide about a weak hypothesis, about cameras and a mirror plane."""
-    diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
-    until = clock.until(settings.seconds)
-    if settings.refine_camera and settings.steps:
-        now = time.perf_counter()
-        half = now + TIME_FOR_CAMERAS * (until - now)
-        problem = clock.attempt("cameras", partial(corrected_cameras, problem, half), problem)
-    with clock.phase("prepare"):
-        weighed = weigh(problem, settings)
-    if settings.symmetry == "auto" and problem.flipped and settings.steps and weighed.field:
-        weights, field = weighed.weights.loss, weighed.field
-        verify = partial(verify_plane, problem, weights, field, until)
-        weighed = replace(weighed, problem=clock.attempt("check symmetry", verify, problem))
-    return diagnosis, weighed
-
-
-def _require_plane_through(problem: Problem, symmetry: str) -> None:
-    """Refuse a given plane whose flipped views the cloud does not meet."""
-    if problem.symmetry.outcome != "given":
-        return
-    for windowed in problem.flipped:
-        placement = place(problem.cloud.control_points, windowed.view)
-        if why := why_apart(placement, windowed.view):
-            raise InputError(
-                f"symmetry is {symmetry!r}, expected a plane ax + by + cz = d through the cloud; "
-                f"as it is, {windowed.view.name}: {why}"
-            )
