@@ -44,7 +44,9 @@ BOUNDARIES = [0, 1, 2, 127, 128, 254, 255]
 
 
 def corruptions(data: bytes, count: int) -> Iterator[bytes]:
-    """``count`` damaged copies of ``data``, the same ones each time; some are damaged several times."""
+    """``count`` damaged copies of ``data``, the same ones each time; some are damaged several
+    times.
+    """
     rng = np.random.default_rng(0)
     kinds = [
         _truncate,
@@ -72,10 +74,11 @@ def assert_reads_or_refuses(
     count: int,
     repair: Callable[[bytes], bytes] | None = None,
 ) -> tuple[int, int]:
-    """Damage the good file ``path`` ``count`` times; ``read`` must keep the promise of `is_read` every time.
+    """Damage the good file ``path`` ``count`` times; ``read`` must keep the promise of `is_read`
+    every time.
 
-    ``repair`` (checksums, say) is applied to every second damaged copy, so that the damage reaches what the checksums
-    protect. Returns how many were read and how many were refused.
+    ``repair`` (checksums, say) is applied to every second damaged copy, so that the damage reaches
+    what the checksums protect. Returns how many were read and how many were refused.
     """
     good = path.read_bytes()
     victim = path.with_name("damaged" + path.suffix)
@@ -130,7 +133,7 @@ def full_disk(*_: Any, **__: Any) -> None:
 
 
 def repair_png(data: bytes) -> bytes:
-    """``data`` with the checksums of its chunks made right, as far as its chunks can be followed."""
+    """``data`` with the checksums of its chunks made right, as far as chunks can be followed."""
     out = bytearray(data)
     at = 8
     while at + 12 <= len(out):

@@ -1,7 +1,8 @@
-"""Small data sets in the layouts people have, pictured by each layout's own formulas, and how to judge what is read back.
+"""Small data sets in the layouts people have, pictured by each layout's own formulas, and how to
+judge what is read back.
 
-Every formula follows the definition of its data set, in the terms used there, independently of the program's cameras. The
-vertices are moved into the frame of the camera, not the camera.
+Every formula follows the definition of its data set, in the terms used there, independently of the
+program's cameras. The vertices are moved into the frame of the camera, not the camera.
 """
 
 import json
@@ -30,7 +31,9 @@ ANGLES = ((30.0, 20.0), (-110.0, -10.0), (165.0, 35.0))
 
 @cache
 def lopsided() -> Mesh:
-    """A shipped chair with a small one beside it, so that no mirrored or turned view looks the same; unit diagonal, centred."""
+    """A shipped chair with a small one beside it, so that no mirrored or turned view looks the
+    same; unit diagonal, centred.
+    """
     mesh = read_mesh(examples_folder() / "meshes/chair/kfurn_chair.ply")
     small = 0.45 * mesh.vertices + np.array([0.45, 0.1, 0.3])
     vertices = np.concatenate([mesh.vertices, small])
@@ -49,7 +52,9 @@ def lopsided_points() -> np.ndarray:
 def pictured(
     vertices: np.ndarray, faces: np.ndarray, focal: float, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Image and mask (0, 255) of vertices that are in OpenCV camera axes already; the optical axis in the middle."""
+    """Image and mask (0, 255) of vertices that are in OpenCV camera axes already; the optical axis
+    in the middle.
+    """
     width, height = size
     K = np.array([[focal, 0.0, (width - 1) / 2], [0.0, focal, (height - 1) / 2], [0.0, 0.0, 1.0]])
     view = render_view(
@@ -59,7 +64,9 @@ def pictured(
 
 
 def write_cut_out(path: Path, vertices: np.ndarray, focal: float, size: int) -> np.ndarray:
-    """Write a square picture of the object, with its mask as the alpha channel; the mask is also returned."""
+    """Write a square picture of the object, with its mask as the alpha channel; the mask is also
+    returned.
+    """
     image, mask = pictured(vertices, lopsided().faces, focal, (size, size))
     write_image(path, np.dstack([np.where(mask[..., None] > 0, image, 0), mask]))
     return mask
@@ -80,7 +87,9 @@ def agreement(item: ObjectItem) -> float:
 
 
 def agreement_of_surface(item: ObjectItem, mesh: Mesh) -> float:
-    """The smallest IoU of the masks with what the cameras of the item see of ``mesh``, which is in the frame of the item."""
+    """The smallest IoU of the masks with what the cameras of the item see of ``mesh``, which is in
+    the frame of the item.
+    """
     scene = RayScene(mesh)
     pairs = [
         (render_view(scene, view.camera).mask > 0, view.load()[1] > 0.5) for view in item.views
@@ -92,7 +101,9 @@ def agreement_of_surface(item: ObjectItem, mesh: Mesh) -> float:
 
 
 def authors_points(points: np.ndarray, azimuth: float, elevation: float) -> np.ndarray:
-    """A cloud in the axes X of the authors' code: row = 120 X_x / |X_z| + 32, column = 120 X_y / |X_z| + 32."""
+    """A cloud in the axes X of the authors' code: row = 120 X_x / |X_z| + 32, column = 120 X_y /
+    |X_z| + 32.
+    """
     a, b, c = points.T
     p = np.stack([-b, -c, a])
     return (about("y", elevation) @ about("x", azimuth) @ p).T - np.array([0.0, 0.0, 2.0])
@@ -136,7 +147,9 @@ def blender_points(vertices: np.ndarray) -> np.ndarray:
 
 
 def through_blender_camera(points: np.ndarray, matrix: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Points [N, 3] of Blender's world in OpenCV axes of the camera, whose own axes are x right, y up, -z forward."""
+    """Points [N, 3] of Blender's world in OpenCV axes of the camera, whose own axes are x right, y
+    up, -z forward.
+    """
     local = (points - place) @ matrix
     return local * np.array([1.0, -1.0, -1.0])
 
@@ -154,8 +167,9 @@ def write_r2n2(
         rows, names = [], []
         for k, (azimuth, elevation) in enumerate(ANGLES):
             ratio = 0.7 + 0.1 * k
-            # The renderer turns an empty object, by Euler angles (-rotation, -elevation, -azimuth) in the order x, y, z, that
-            # carries the camera at (1.75 ratio, 0, 0), itself turned by 90 degrees about z and then y.
+            # The renderer turns an empty object, by Euler angles (-rotation, -elevation, -azimuth)
+            # in the order x, y, z, that carries the camera at (1.75 ratio, 0, 0), itself turned by
+            # 90 degrees about z and then y.
             carrier = about("z", -azimuth) @ about("y", -elevation) @ about("x", -rotation)
             matrix = carrier @ about("y", 90.0) @ about("z", 90.0)
             place = carrier @ np.array([1.75 * ratio, 0.0, 0.0])
@@ -176,7 +190,9 @@ def write_clouds(beside: Path, *models: str, folder: str = "ShapeNet_pcl") -> No
 
 
 def write_binvox(path: Path, in_the_middle: bool, side: int = 32) -> None:
-    """The object as voxels the size of the file's scale, at the corner of the grid or (binvox -cb) in the middle of it."""
+    """The object as voxels the size of the file's scale, at the corner of the grid or (binvox -cb)
+    in the middle of it.
+    """
     mesh = lopsided()
     points = sample_surface(mesh.vertices, mesh.faces, 40000, np.random.default_rng(1))
     low, high = points.min(0), points.max(0)
@@ -195,7 +211,9 @@ PIX3D_SIZE = (88, 60)
 
 
 def write_pix3d(root: Path, count: int = 3) -> list[dict[str, Any]]:
-    """Photos of one model that is neither centred nor of any usual size; the entries are also returned."""
+    """Photos of one model that is neither centred nor of any usual size; the entries are also
+    returned.
+    """
     for folder in ("img/chair", "mask/chair", "model/chair/IKEA_X"):
         (root / folder).mkdir(parents=True)
     vertices = 1.7 * lopsided().vertices + np.array([0.4, -0.3, 0.2])

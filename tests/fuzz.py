@@ -1,7 +1,9 @@
-"""Coverage-guided damage to files: `python -m tests.fuzz READER SECONDS [CORPUS]`, with atheris on the path.
+"""Coverage-guided damage to files: `python -m tests.fuzz READER SECONDS [CORPUS]`, with atheris on
+the path.
 
-A reader must read a file or raise InputError with one line that names it, within 5 seconds and 1 GiB; the first file that makes
-it do anything else is left as crash-*. Without READER the readers are listed.
+A reader must read a file or raise InputError with one line that names it, within 5 seconds and 1
+GiB; the first file that makes it do anything else is left as crash-*. Without READER the readers
+are listed.
 """
 
 import sys

@@ -1,10 +1,12 @@
-"""What the commands write for the shipped examples, as digests, to see that a change of the code changes no result.
+"""What the commands write for the shipped examples, as digests, to see that a change of the code
+changes no result.
 
 python -m tests.pins pins.json            writes the digests
-python -m tests.pins pins.json --check    compares with those, names what differs, and exits with 1 if anything does
+python -m tests.pins pins.json --check    compares with those, names what differs, and exits with 1
+if anything does
 
-Results are the same to the last bit on one machine with one version of its libraries, not from one machine to another: the
-file is made before a change and thrown away after it.
+Results are the same to the last bit on one machine with one version of its libraries, not from one
+machine to another: the file is made before a change and thrown away after it.
 """
 
 import contextlib
@@ -73,7 +75,9 @@ def commands() -> dict[str, list[str]]:
 
 
 def _second_views(folder: Path) -> None:
-    """The first mask of every example again, from a camera that stands elsewhere: a view that the first contradicts."""
+    """The first mask of every example again, from a camera that stands elsewhere: a view that the
+    first contradicts.
+    """
     for example in EXAMPLES:
         scene = folder / "examples" / example
         shutil.copy(scene / "mask.png", scene / "second.png")
@@ -113,7 +117,8 @@ def _lasting(value: Any) -> Any:
 
 def main(arguments: list[str]) -> int:
     file = Path(arguments[0]).resolve()
-    # Work too small to repay compiling takes the compiled loops only where they are on disk, and results differ by rounding.
+    # Work too small to repay compiling takes the compiled loops only where they are on disk, and
+    # results differ by rounding.
     compile_loops()
     with tempfile.TemporaryDirectory() as folder:
         working_copy(Path(folder))

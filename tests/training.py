@@ -24,14 +24,18 @@ def make_thin(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fingerprints cost nothing: every part has one number. What they are of is tested in test_fingerprint.py."""
+    """Fingerprints cost nothing: every part has one number. What they are of is tested in
+    test_fingerprint.py.
+    """
     monkeypatch.setattr(
         fingerprint, "today", lambda part: {"number": float(list(fingerprint.PARTS).index(part))}
     )
 
 
 def box_surface(sides: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Points on the surface of a box, longest side 1, with a knob on top so that it looks different from every side."""
+    """Points on the surface of a box, longest side 1, with a knob on top so that it looks different
+    from every side.
+    """
     points = rng.uniform(-0.5, 0.5, (count, 3))
     axis = rng.integers(3, size=count)
     points[np.arange(count), axis] = np.where(points[np.arange(count), axis] > 0, 0.5, -0.5)

@@ -90,7 +90,7 @@ def test_the_camera_named_after_the_mask_wins_over_the_folders_and_the_canonical
     assert Path("initial.refined.ply").read_bytes() == Path("initial.ply").read_bytes()
     Path("camera.json").unlink()
     Path("mask.camera.json").unlink()
-    canonical = "used   canonical camera (no camera file was given or found beside the mask); "
+    canonical = "used   canonical camera (no camera file was given or found next to the mask); "
     assert canonical in refine(*POINTS, "--steps", "0", "--overwrite").out
 
 

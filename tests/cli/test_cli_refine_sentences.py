@@ -8,7 +8,7 @@ from tests.scenes import example
 from tso_cli import RefineConfig, RefineResult, refine
 from tso_cli.commands.sentences import (
     GENERAL_ADVICE,
-    HINTS,
+    OPTIONS_OF_NOTES,
     Words,
     shown,
     why_unmoved,
@@ -37,7 +37,7 @@ def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
     assert ONE.suspicion([Finding(name, (0,), 0.7)]) == sentence
     assert TWO.suspicion([Finding(name, (0, 1), 0.7)]) == sentence
     suspect = {"what": says, "option": f"--assume {name}", "score": 0.7}
-    assert ONE.suspect(Finding(name, (0,), 0.7)) == suspect
+    assert ONE.what_and_option(Finding(name, (0,), 0.7)) == suspect
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
         (
             TWO,
             Finding("box", (1,)),
-            "b.png is the bounding box of the object",
+            "the mask is the bounding box of the object in b.png",
             "a mask of its outline",
         ),
         (
@@ -94,7 +94,7 @@ def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
     ],
 )
 def test_what_may_be_wrong_and_what_mends_it(words, finding, what, option):
-    assert words.suspect(finding) == {"what": what, "option": option, "score": 0.0}
+    assert words.what_and_option(finding) == {"what": what, "option": option, "score": 0.0}
     assert words.suspicion([finding]) == f"it looks as if {what}: try {option}"
 
 
@@ -109,7 +109,7 @@ def test_alternatives_are_one_sentence():
 def test_findings_of_views_are_a_sentence_each():
     findings = [Finding("box", (0,)), Finding("mask-inverted", (1,))]
     assert TWO.suspicion(findings) == (
-        "it looks as if a.png is the bounding box of the object: try a mask of its outline; "
+        "it looks as if the mask is the bounding box of the object in a.png: try a mask of its outline; "
         "it looks as if for b.png alone the mask is inverted: try --assume mask-inverted@b.png"
     )
 
@@ -126,19 +126,19 @@ def test_wrong_pairs_are_named_by_their_masks():
 
 
 def test_where_all_views_are_paired_wrongly_the_cloud_may_be_turned():
-    what = TWO.suspect(EXCHANGED)["what"]
+    what = TWO.what_and_option(EXCHANGED)["what"]
     assert what == "masks and cameras are paired wrongly, or the cloud is turned"
 
 
 def test_three_pairs_are_named_and_the_rest_is_counted():
     pairs = tuple((camera + 1, camera) for camera in range(5))
-    option = SIX.suspect(Finding("mispaired", (0, 1, 2, 3, 4), pairs=pairs))["option"]
+    option = SIX.what_and_option(Finding("mispaired", (0, 1, 2, 3, 4), pairs=pairs))["option"]
     assert option.count("with the camera that") == 3
     assert option.endswith(", and so on, 5 in all")
 
 
 def test_views_of_one_name_are_numbered():
-    option = Words(["mask", "mask"]).suspect(EXCHANGED)["option"]
+    option = Words(["mask", "mask"]).what_and_option(EXCHANGED)["option"]
     assert option == (
         "view 2 with the camera that view 1 has now, view 1 with the camera that view 2 has now"
     )
@@ -152,15 +152,15 @@ def test_a_note_names_its_view_and_the_option_that_mends_it(name):
     numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "size"), 3.0)
     numbers |= dict.fromkeys(("distance", "observed", "nearest", "farthest", "count"), 3.0)
     finding = Finding(name, (1,), values={**numbers, "why": "a face is degenerate"})
-    assert TWO.note(finding) == f"b.png: {finding.says}{HINTS.get(name, '')}"
-    assert TWO.note(replace(finding, views=())) == f"{finding.says}{HINTS.get(name, '')}"
+    assert TWO.note(finding) == f"b.png: {finding.says}{OPTIONS_OF_NOTES.get(name, '')}"
+    assert TWO.note(replace(finding, views=())) == f"{finding.says}{OPTIONS_OF_NOTES.get(name, '')}"
 
 
 def test_notes_leave_out_what_is_said_of_suspicious_findings():
     notes = [Finding("outliers", values={"count": 3}), Finding("unsure-camera", (0,), values={})]
     notes[1] = replace(notes[1], values={"why": "two poses fit"})
     assert ONE.notes([Finding("box", (0,)), *notes]) == [
-        "3 points lie far from the rest: they stay where they are, and no measure counts them",
+        "points far from the rest stay where they are, and no measure counts them (found 3)",
         "a.png: the fitted camera is unsure: two poses fit",
     ]
 
@@ -324,7 +324,7 @@ def test_notes_follow_the_warnings_of_a_result(moved):
 
 def test_an_unsure_camera_is_said_once(moved):
     camera = Finding("unsure-camera", (0,), values={"why": "two poses fit"})
-    trust = Trust("improved", 0.9).with_unsure_camera(camera.says)
+    trust = Trust("improved", 0.9).with_camera(Diagnosis((), notes=(camera,)))
     (warning,) = ONE.warnings(changed(moved, trust=trust, findings=(camera,)))
     assert warning.endswith("the fitted camera is unsure: two poses fit")
 

@@ -134,18 +134,29 @@ def test_without_a_confidence_there_is_no_verdict_except_with_a_finding(diagnosi
     assert Trust.unknown("steps", "11 steps are too few", diagnosis) == expected
 
 
+def unsure(diagnosis: Diagnosis) -> Diagnosis:
+    """The diagnosis of an input whose camera was fitted, and is unsure."""
+    note = Finding("unsure-camera", (0,), values={"why": "two poses fit"})
+    return replace(diagnosis, notes=(note,))
+
+
+def test_a_sure_camera_costs_no_confidence():
+    trust = Trust("improved", 0.97)
+    assert trust.with_camera(NOTHING) == trust
+
+
 @pytest.mark.parametrize("confidence", [0.97, 0.3, None])
 def test_an_unsure_camera_makes_any_result_doubtful(confidence):
-    trust = Trust("improved", confidence).with_unsure_camera("two cameras fit")
+    trust = Trust("improved", confidence).with_camera(unsure(NOTHING))
     assert trust.verdict == "doubtful"
     assert trust.reason == "unsure-camera"
-    assert trust.says == "two cameras fit"
+    assert trust.says == "the fitted camera is unsure: two poses fit"
     expected = None if confidence is None else min(confidence, MOST_CONFIDENCE_IF_UNSURE)
     assert trust.confidence == expected
 
 
 def test_a_finding_is_the_reason_also_with_an_unsure_camera():
-    trust = Trust.unchanged(OPENGL).with_unsure_camera("two cameras fit")
+    trust = Trust.unchanged(OPENGL).with_camera(unsure(OPENGL))
     assert trust.reason == FINDING
     assert trust.says == words_of(OPENGL)
     assert trust.confidence == MOST_CONFIDENCE_IF_UNSURE

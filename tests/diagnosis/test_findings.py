@@ -22,8 +22,8 @@ from tso_cli.diagnosis.hypotheses import HYPOTHESES, INVERTED
         ),
         (
             Finding("outliers", values={"count": 1234}),
-            "1,234 points lie far from the rest: they stay where they are, and no measure counts "
-            "them",
+            "points far from the rest stay where they are, and no measure counts them "
+            "(found 1,234)",
         ),
     ],
 )

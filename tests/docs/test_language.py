@@ -82,6 +82,17 @@ def test_no_banned_word_is_used(page: Path):
     assert not found, "\n".join(found)
 
 
+def test_the_code_speaks_as_the_pages_do():
+    """Names of JSON keys may keep an old word; comments, docstrings and messages may not."""
+    found = []
+    for path in sorted((ROOT / "tso_cli").rglob("*.py")):
+        if "lab" not in path.parts:
+            for number, line in enumerate(path.read_text().splitlines(), 1):
+                prose = re.sub(r"[\"'](\w+)[\"'](?=[:\]])", "", line)
+                found += [f"{path.name}:{number}: {match[0]}" for match in BANNED.finditer(prose)]
+    assert found == []
+
+
 @pytest.mark.parametrize("page", WRITTEN, ids=lambda page: page.name)
 def test_lines_fit_into_a_terminal(page: Path):
     lines = without_code(page.read_text()).splitlines()

@@ -71,7 +71,7 @@ def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_s
     assert all((b.mask <= a.mask).all() for a, b in zip(whole.views, lacking.views, strict=True))
     assert find_mirror_plane(whole.target).symmetric
     assert not find_mirror_plane(lacking.target).symmetric
-    axis = int(np.abs(find_mirror_plane(whole.initial).normal).argmax())
+    axis = int(np.abs(find_mirror_plane(whole.initial).plane.normal).argmax())
     # A face that reaches across the limit goes or stays as a whole.
     left = 0.4 if part == "side" else 1.0
     assert (lacking.dense[:, axis] > 0.12).mean() < left * (whole.dense[:, axis] > 0.12).mean()

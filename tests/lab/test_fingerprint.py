@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -29,15 +31,19 @@ def fixed(monkeypatch):
     return lambda **numbers: monkeypatch.setattr(fingerprint, "today", lambda part: numbers)
 
 
+def faster_latent(preset, patch):
+    """Another learning rate of the latent vector."""
+    defaults = presets.DEFAULTS[preset, "latent"]
+    patch.setitem(presets.DEFAULTS, (preset, "latent"), replace(defaults, learning_rate=2e-3))
+
+
 CHANGES = {
     "points, best": lambda patch: patch.setitem(
         vars(presets.BEST), "prior_weight", 0.8 * presets.BEST.prior_weight
     ),
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
-    "network modes, paper": lambda patch: patch.setitem(
-        presets.PAPER_LEARNING_RATE, "latent", 2e-3
-    ),
-    "network modes, best": lambda patch: patch.setitem(presets.BEST_LEARNING_RATE, "latent", 2e-3),
+    "network modes, paper": partial(faster_latent, "paper"),
+    "network modes, best": partial(faster_latent, "best"),
     "camera fit": lambda patch: patch.setattr(camera_correction, "MISFIT_LEFT", 0.0),
     "training": lambda patch: patch.setattr(
         losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from tests import oracles
 from tso_cli.geometry.camera import Camera
 from tso_cli.losses.depth import TOLERANCE, DepthTarget, depth_loss
-from tso_cli.losses.projection import project
+from tso_cli.losses.projection import project_differentiably
 
 from .common import COMPILED, FORMS, NUMPY, assert_equal, assert_gradient, by_autograd, in_form
 from .scenes import HEIGHT, PLACES, WIDTH, camera_of, points_at, points_of, scattered
@@ -34,7 +34,7 @@ def loss(
 ) -> tuple[float, np.ndarray]:
     target = DepthTarget.of(depth, np.ones(depth.shape, bool), camera)
     points = np.asarray(points, float)
-    return depth_loss(points, project(points, camera), target, robust_scale)
+    return depth_loss(points, project_differentiably(points, camera), target, robust_scale)
 
 
 def grid(depth: float, step: float = 1.0) -> np.ndarray:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tso_cli.geometry.camera import Camera
-from tso_cli.losses.projection import pixels_under, project
+from tso_cli.losses.projection import pixels_under, project_differentiably
 
 from .common import MODELS, assert_gradient
 from .scenes import camera_of, points_at, scattered
@@ -13,7 +13,7 @@ from .scenes import camera_of, points_at, scattered
 def test_projection_is_K_times_R_p_plus_t(model):
     camera, pixels = camera_of(model), scattered()
     points = points_at(pixels, camera, np.linspace(1.0, 3.0, len(pixels)))
-    projected = project(points, camera)
+    projected = project_differentiably(points, camera)
     np.testing.assert_allclose(projected.points_px, pixels, atol=1e-12)
     np.testing.assert_allclose(camera.project(points)[0], pixels, atol=1e-12)
     assert projected.valid.all()
@@ -26,7 +26,7 @@ def test_the_gradient_by_points_is_that_of_finite_differences(model):
     weight = np.random.default_rng(3).normal(size=(6, 2))
 
     def weighted(at):
-        projected = project(at, camera)
+        projected = project_differentiably(at, camera)
         return float((weight * np.sin(projected.points_px)).sum()), projected.pull_back(
             weight * np.cos(projected.points_px)
         )
@@ -36,7 +36,7 @@ def test_the_gradient_by_points_is_that_of_finite_differences(model):
 
 def test_points_at_or_behind_the_camera_are_invalid_with_finite_pixels_and_no_gradient():
     # The canonical camera stands at z = 2 and looks toward -z.
-    projected = project(
+    projected = project_differentiably(
         np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 2.0], [0.1, 0.0, 5.0]]), Camera.canonical(64, 64)
     )
     assert projected.valid.tolist() == [True, False, False]

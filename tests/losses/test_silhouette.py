@@ -20,7 +20,7 @@ from tso_cli.kernels import tensors
 from tso_cli.kernels.splat import splat
 from tso_cli.kernels.window import NEGLIGIBLE
 from tso_cli.losses import silhouette
-from tso_cli.losses.projection import project
+from tso_cli.losses.projection import project_differentiably
 from tso_cli.losses.silhouette import silhouette_bce, silhouette_of, silhouette_sums
 from tso_cli.silhouette import bce
 
@@ -208,7 +208,7 @@ def test_sums_are_those_of_equation_2():
 def test_a_silhouette_on_a_coarser_grid_is_that_of_every_pixel():
     cloud = np.random.default_rng(5).uniform(-0.4, 0.4, (900, 3)) * [1.0, 0.6, 0.8]
     camera = Camera.canonical(600, 450)
-    projected = project(cloud, camera)
+    projected = project_differentiably(cloud, camera)
     exact = np.tanh(
         silhouette_sums(projected.points_px, projected.valid, 450, 600, 0.4 * (600 / 64) ** 2)
     )

@@ -196,4 +196,4 @@ def test_a_network_that_sees_sizes_takes_the_distance_of_the_camera_and_notes_it
     assert crop_of(0.75).sum() < 0.7 * crop_of(1.0).sum()
     for known_camera, notes in ((True, []), (False, ["assumed-picture"])):
         scene = network_scene(image, chair.view, network, config, known_camera=known_camera)
-        assert [finding.name for finding in scene.refined.known] == notes
+        assert [finding.name for finding in scene.given.known] == notes

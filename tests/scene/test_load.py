@@ -21,11 +21,11 @@ MASK, CLOUD = Path("mask.png"), Path("initial.ply")
 def test_views_stay_as_they_were_read_and_are_meant_as_assumed(folder):
     scene = load_points_scene(CLOUD, ViewFiles([MASK], assume=["mask-flipped"], invert=True))
     mask = read_mask(MASK)
-    (read,), (meant,) = scene.refined.read, scene.views
+    (read,), (meant,) = scene.given.read, scene.views
     np.testing.assert_array_equal(read.mask, mask)
     np.testing.assert_array_equal(meant.mask, 1.0 - mask[:, ::-1])
-    assert [one.text for one in scene.refined.assumptions] == ["mask-inverted", "mask-flipped"]
-    assert scene.refined.assumptions[0] == INVERTED
+    assert [one.text for one in scene.given.assumptions] == ["mask-inverted", "mask-flipped"]
+    assert scene.given.assumptions[0] == INVERTED
 
 
 def test_the_camera_of_a_left_handed_cloud_is_said_to_be_mirrored(folder):
@@ -46,7 +46,7 @@ def test_the_camera_of_a_left_handed_cloud_is_said_to_be_mirrored(folder):
 def test_reading_finds_and_warns_of_nothing(folder, recwarn):
     shutil.copy("image.png", "photo.png")
     scene = load_points_scene(CLOUD, Path("photo.png"))
-    assert scene.refined.known == ()
+    assert scene.given.known == ()
     assert not recwarn.list
 
 
@@ -94,14 +94,14 @@ def fitted():
 
 
 def test_a_sure_camera_is_no_finding(fitted):
-    assert fitted.refined.known == ()
+    assert fitted.given.known == ()
     assert fitted.camera_summary == "camera fitted to cloud and mask (sure)"
 
 
 def test_an_unsure_camera_is_a_finding_with_its_reason(folder):
     other = FOLDER / "airplane" / "initial.ply"
     scene = load_points_scene(other, ViewFiles([MASK]), fit=True)
-    (finding,) = scene.refined.known
+    (finding,) = scene.given.known
     assert finding.name == "unsure-camera"
     assert finding.views == (0,)
     assert finding.says.startswith("the fitted camera is unsure: ")
@@ -114,7 +114,7 @@ def test_a_camera_is_fitted_to_the_mask_as_it_is_meant(fitted, tmp_path):
     Image.fromarray(dark).save(tmp_path / "dark.png")
     files = ViewFiles([tmp_path / "dark.png"], invert=True)
     scene = load_points_scene(chair / "target.ply", files, fit=True)
-    assert scene.refined.assumptions == (INVERTED,)
+    assert scene.given.assumptions == (INVERTED,)
     np.testing.assert_allclose(scene.view.camera.R, fitted.view.camera.R, atol=1e-6)
     np.testing.assert_allclose(scene.view.mask, fitted.view.mask, atol=1e-6)
 
@@ -124,7 +124,7 @@ def test_the_mask_of_a_left_handed_cloud_is_mirrored_before_a_camera_is_fitted(f
     write_cloud(tmp_path / "left.ply", read_cloud(chair / "target.ply").points[:, [1, 0, 2]])
     files = ViewFiles([chair / "mask.png"], assume=["cloud-xy-swapped"])
     scene = load_points_scene(tmp_path / "left.ply", files, fit=True)
-    assert scene.refined.assumptions == ()
+    assert scene.given.assumptions == ()
     np.testing.assert_array_equal(scene.view.mask, fitted.view.mask[:, ::-1])
 
 
@@ -132,5 +132,5 @@ def test_a_camera_is_fitted_in_the_axes_of_the_cloud(fitted):
     chair = FOLDER / "chair"
     files = ViewFiles([chair / "mask.png"], assume=["cloud-upside-down"])
     scene = load_points_scene(chair / "target.ply", files, fit=True)
-    assert scene.refined.assumptions == ()
+    assert scene.given.assumptions == ()
     np.testing.assert_allclose(scene.view.camera.R, fitted.view.camera.R, atol=1e-6)

@@ -33,8 +33,8 @@ class DistantPoint:
     """A point is an outlier if its fourth neighbour is far away by two measures at once."""
 
     SIZES = 0.3  # farther than this part of the size of the cloud's middle four fifths
-    MEDIANS = 6.0  # farther than so many medians of all distances
-    # A cloud with such points is at least so many times as long as its middle four fifths.
+    MEDIANS = 6.0  # farther than this multiple of the median of all distances
+    # Least length of a cloud with such points, in sizes of its middle four fifths.
     SHORTEST_CLOUD = 1.6
 
 
@@ -48,7 +48,7 @@ class DistantGroup:
     GAP = 1.5  # in sizes of the middle half
     CUBES_IN_A_GAP = 4
     OUTSIDE = 0.5  # distance to the largest group's box, in sizes of that box
-    # A cloud with such groups is at least so many times as long as its middle half.
+    # Least length of a cloud with such groups, in sizes of its middle half.
     SHORTEST_CLOUD = 3.5
     FEWEST_POINTS = 64  # fewer points have gaps of their own
     MOST_CUBES = 2048  # with more cubes the cloud is no object with outliers
@@ -64,8 +64,8 @@ class SparsePoint:
     CLEARLY = 2.5  # medians
     SMALLEST_SHARE = 0.003
     FEWEST = 3
-    # Neighbours are searched among so many places. Two samples of them, the first smaller, are
-    # asked for sparse points; most clouds have none in the first.
+    # Neighbours are searched among this number of places. Two samples of the places, the first
+    # smaller, are searched for sparse points; most clouds have none in the first.
     PLACES = 4096
     SAMPLES = (256, 1024)
 
@@ -162,7 +162,7 @@ def _distant_points(points: Array) -> Bits:
 def find_sparse(points: Array) -> Bits:
     """[N], which of ``points`` [N, 3] are sparse; none where the sampling is even.
 
-    This takes seconds for millions of points, a subset of which says as much.
+    This takes seconds for millions of points; pass a subset of them.
     """
     none = np.zeros(len(points), bool)
     places = np.unique(scattered(points, SparsePoint.PLACES), axis=0)
@@ -182,7 +182,7 @@ def find_sparse(points: Array) -> Bits:
 
 
 def spread_over_surfaces(points: Array, count: int) -> Indices:
-    """Indices of ``count`` evenly spread points [N, 3], few of which are sparse.
+    """Indices of ``count`` evenly spread points [N, 3]. Few of them are sparse.
 
     Farthest-point sampling alone would choose sparse points first.
     """

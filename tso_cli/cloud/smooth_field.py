@@ -9,7 +9,7 @@ from ..kernels.dispatch import use_compiled
 from ..losses.nearest import fast_spread_subset, nearest_few
 
 # Most nodes of a field, and most control points of a cloud unless more are asked for. The table of
-# stages states lambda for so many nodes.
+# stages states lambda for this number of nodes.
 CONTROL_POINTS = 1024
 # Neighbours of a node in the graph.
 NEIGHBOURS = 8
@@ -112,8 +112,8 @@ class SmoothField:
     def averaged(self, values: Array, weight: float) -> Array:
         """[N], ``values`` [N] averaged around each point.
 
-        The mean at a node is ``(I + weight L)^-1`` of the nodes' sums, divided by the same of the
-        nodes' counts. A point takes the mean at its nearest node.
+        The mean at a node is ``(I + weight L)^-1`` of the nodes' sums, divided by the smoothed
+        counts of the nodes. A point takes the mean at its nearest node.
         """
         owner = self._index[:, 0]
         sums = np.stack(

@@ -138,7 +138,7 @@ def _hypotheses() -> dict[str, str]:
     "--camera",
     type=options.CameraPath(),
     help="Camera file (JSON), with a view for each mask. `fit` estimates the camera of a single "
-    "mask.  [default: MASKSTEM.camera.json, camera.json or cameras.json beside the mask, else a "
+    "mask.  [default: MASKSTEM.camera.json, camera.json or cameras.json next to the mask, else a "
     "canonical camera]",
 )
 @click.option(
@@ -345,7 +345,7 @@ def _require_writable_cameras(inputs: RefineInputs, outputs: RefineOutputs, scen
     """Refuse to write the cameras of a cloud with left-handed axes."""
     from ..diagnosis.hypotheses import left_handed
 
-    if outputs.write_camera and left_handed(scene.refined.assumptions):
+    if outputs.write_camera and left_handed(scene.given.assumptions):
         raise InputError(
             f"--write-camera {outputs.write_camera}: the cloud has left-handed axes, which no "
             f"camera has; found --assume {' '.join(inputs.assume)}, expected a cloud with "
@@ -370,7 +370,7 @@ def _refined(
     def on_progress(step: int, total: int, loss: float) -> None:
         bar(step, total, f"steps, loss {loss:.6g}" if verbose else "steps")
 
-    given = scene.refined
+    given = scene.given
     try:
         with options.naming(inputs.source):
             return refine(

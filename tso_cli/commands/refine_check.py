@@ -32,7 +32,7 @@ def check_scene(
     apart = None
     try:
         with blas.one_thread():
-            diagnosis, cloud = check(scene.refined, settings)
+            diagnosis, cloud = check(scene.given, settings)
     except NoOverlapError as error:
         apart, diagnosis, cloud = words.no_overlap(error), error.diagnosis, error.cloud
     for text in words.notes(diagnosis.notes):
@@ -46,7 +46,7 @@ def check_scene(
     unsure = [one.says for one in diagnosis.notes if one.name == "unsure-camera"]
     reason = suspicion or "".join(unsure)
     if as_json:
-        suspects = [words.suspect(finding) for finding in diagnosis.suspicious]
+        suspects = [words.what_and_option(finding) for finding in diagnosis.suspicious]
         verdict = "doubtful" if reason else None
         trust = verdict_document(None, verdict, reason, warned, suspects)
         options.echo_json({**_document(scene, cloud, diagnosis), **trust, "version": __version__})

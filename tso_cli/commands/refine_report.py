@@ -79,7 +79,9 @@ class RefineReport:
         """The JSON document; ``written`` : whether the outputs are."""
         result, fit, settings = self.result, self.result.fit, self.result.settings
         views = self._views()
-        suspects = [self.words.suspect(one) for one in self.words.suspected(result.findings)]
+        suspects = [
+            self.words.what_and_option(one) for one in self.words.suspicious(result.findings)
+        ]
         trust, reason = result.trust, self.words.reason(result)
         document = {
             "mode": settings.mode,

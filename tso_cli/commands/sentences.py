@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..diagnosis.confidence import FINDING
-from ..diagnosis.examine import NoOverlapError
+from ..diagnosis.examine import AXES_ADVICE, NoOverlapError
 from ..diagnosis.findings import Finding
 from ..diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
 from ..diagnosis.placement import describe_box
@@ -18,15 +18,11 @@ from ..refinement import RefineResult
 SMALL_DISPLACEMENT = 1e-3
 # Pairs of masks and cameras that are named.
 MOST_PAIRS = 3
-GENERAL_ADVICE = (
-    "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and "
-    "units, or look at the numbers with --check"
-)
+GENERAL_ADVICE = f"{AXES_ADVICE}, or look at the numbers with --check"
+# What mends a symptom of a single view.
+OPTIONS = {"box": "a mask of its outline", "occluder": "--ignore FILE"}
 # Options that mend what a note says.
-HINTS = {
-    "depth-unit": " (--depth-scale)",
-    "assumed-picture": " (--camera FILE)",
-}
+OPTIONS_OF_NOTES = {"depth-unit": " (--depth-scale)", "assumed-picture": " (--camera FILE)"}
 
 
 @dataclass(frozen=True)
@@ -42,23 +38,21 @@ class Words:
             return ""
         alternatives = findings[0].name in HYPOTHESES
         if not alternatives or len(findings[0].views) < len(self.names):
-            parts = map(self.suspect, findings)
+            parts = map(self.what_and_option, findings)
             return "; ".join(f"it looks as if {one['what']}: try {one['option']}" for one in parts)
-        first, *others = map(self.suspect, findings)
+        first, *others = map(self.what_and_option, findings)
         options = [first["option"], *(other["option"] for other in others)]
         return f"it looks as if {first['what']}: try {', or '.join(options)}"
 
-    def suspect(self, finding: Finding) -> dict[str, Any]:
+    def what_and_option(self, finding: Finding) -> dict[str, Any]:
         """For JSON: what may be wrong in words, what mends it, and the IoU then (0: unknown)."""
-        what, option = self._what_and_option(finding)
+        what, option = self._parts(finding)
         return {"what": what, "option": option, "score": finding.score}
 
-    def _what_and_option(self, finding: Finding) -> tuple[str, str]:
+    def _parts(self, finding: Finding) -> tuple[str, str]:
         name = self.names[finding.views[0]] if finding.views else ""
-        if finding.name == "box":
-            return f"{name} is the bounding box of the object", "a mask of its outline"
-        if finding.name == "occluder":
-            return f"something hides a part of the object in {name}", "--ignore FILE"
+        if finding.name in OPTIONS:
+            return f"{finding.says} in {name}", OPTIONS[finding.name]
         if finding.name == "mispaired":
             return self._pairs(finding)
         alone = len(finding.views) < len(self.names)
@@ -95,16 +89,18 @@ class Words:
     def note(self, finding: Finding) -> str:
         """A finding that is worth reading."""
         names = ", ".join(self.names[view] for view in finding.views)
-        return f"{f'{names}: ' if names else ''}{finding.says}{HINTS.get(finding.name, '')}"
+        return (
+            f"{f'{names}: ' if names else ''}{finding.says}{OPTIONS_OF_NOTES.get(finding.name, '')}"
+        )
 
     def notes(self, findings: Sequence[Finding]) -> list[str]:
         """A sentence for each finding that is no suspicion."""
-        suspected = self.suspected(findings)
-        return [self.note(finding) for finding in findings if finding not in suspected]
+        suspicious = self.suspicious(findings)
+        return [self.note(finding) for finding in findings if finding not in suspicious]
 
-    def suspected(self, findings: Sequence[Finding]) -> list[Finding]:
-        """What was found to be suspicious; an unsure camera is known from the start."""
-        return [one for one in findings if one.suspicious and one.name != "unsure-camera"]
+    def suspicious(self, findings: Sequence[Finding]) -> list[Finding]:
+        """What was found to be suspicious."""
+        return [finding for finding in findings if finding.suspicious]
 
     def no_overlap(self, error: NoOverlapError) -> InputError:
         """The error with advice by options."""
@@ -120,7 +116,7 @@ class Words:
         """Why a result is doubtful or has no confidence; "" if there is no reason."""
         trust = result.trust
         if trust.reason == FINDING:
-            return self.suspicion(self.suspected(result.findings))
+            return self.suspicion(self.suspicious(result.findings))
         return trust.says + (" (--refine-camera)" if trust.reason == "camera" else "")
 
     def warnings(self, result: RefineResult) -> list[str]:
@@ -137,8 +133,8 @@ class Words:
                 share = f"{100.0 * trust.displacement_taken:.0f} %"
                 taken = f", so only {share} of the displacement is taken"
             messages.append(f"the result is doubtful{sure}{taken}: {reason}")
-        doubt = "unsure-camera" if trust.reason == "unsure-camera" else ""
-        notes = [finding for finding in result.findings if finding.name != doubt]
+        # A note that is the reason of the doubt is said once.
+        notes = [finding for finding in result.findings if finding.name != trust.reason]
         return messages + self.notes(notes)
 
 
@@ -150,7 +146,7 @@ def shown(confidence: float) -> str:
 def why_unmoved(result: RefineResult) -> str | None:
     """Why no point moved, in words; None where points did."""
     fit = result.fit
-    if fit.best_step:
+    if fit.outcome == "moved":
         return None
     masks = "the mask shows" if len(result.views) == 1 else "the masks show"
     if fit.outcome == "refused":

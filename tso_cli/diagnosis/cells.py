@@ -10,7 +10,7 @@ import numpy as np
 from ..geometry.arrays import Array, Bits
 from ..geometry.view import View, object_box
 from ..losses.projection import pixels_under
-from .hypotheses import Assumption, axes_of
+from .hypotheses import Assumption, axes_of, mask_changes
 
 # Cells along the longer side of the mask's bounding box.
 CELLS = 16
@@ -26,7 +26,7 @@ class Cells(NamedTuple):
     """The cells of a grid that are foreground."""
 
     low: Array  # [2], column and row of the corner of the first cell, px
-    edge: int  # of a cell, px
+    edge: float  # of a cell, px
     inside: set[int]
 
     @classmethod
@@ -41,11 +41,20 @@ class Cells(NamedTuple):
         row, column = np.nonzero(shares > FOREGROUND_SHARE)
         return cls(np.array([left, top]) - 0.5, edge, set((row * ROW + column).tolist()))
 
+    @classmethod
+    def around(cls, pixels: Array, edge: float) -> Cells:
+        """The cells that ``pixels`` [N, 2] fall in; the grid begins at pixel 0."""
+        empty = cls(np.zeros(2), edge, set())
+        return empty._replace(inside=empty._under(pixels))
+
     def iou(self, pixels: Array) -> float:
-        """IoU of the mask's cells and the cells that ``pixels`` [N, 2] fall in."""
-        column, row = np.floor((pixels - self.low) / self.edge).astype(np.int64).T
-        covered = set((row * ROW + column).tolist())
+        """IoU of these cells and the cells that ``pixels`` [N, 2] fall in."""
+        covered = self._under(pixels)
         return len(covered & self.inside) / max(1, len(covered | self.inside))
+
+    def _under(self, pixels: Array) -> set[int]:
+        column, row = np.floor((pixels - self.low) / self.edge).astype(np.int64).T
+        return set((row * ROW + column).tolist())
 
 
 class Outline:
@@ -60,8 +69,7 @@ class Outline:
 
     def __init__(self, view: View, given: Sequence[Assumption] = ()) -> None:
         self.view, self.given = view, tuple(given)
-        changes = [one.hypothesis.mask for one in given if one.is_about(view)]
-        inverted = changes.count("inverted") % 2 == 1
+        inverted = "inverted" in mask_changes(view, given)
         inside, other = view.inside, ~view.inside
         if view.known is not None:
             other = other & view.known
@@ -84,26 +92,23 @@ class Outline:
     ) -> list[float]:
         """The same for this camera and other ``masks``; 0 for a mask of another size."""
         view, camera = self.view, self.view.camera
-        hypotheses = [one.hypothesis for one in assumptions if one.is_about(view)]
-        for hypothesis in hypotheses:
-            camera = hypothesis.camera(camera)
-        changes = [hypothesis.mask for hypothesis in hypotheses]
-        # A change is its own inverse.
-        inverted, across, down = (
-            changes.count(change) % 2 == 1 for change in ("inverted", "left-right", "upside-down")
-        )
+        of_view = [one for one in assumptions if one.is_about(view)]
+        for assumption in of_view:
+            camera = assumption.hypothesis.camera(camera)
+        changes = mask_changes(view, of_view)
         compared = [
-            mask.cells.get(inverted) if mask.view.mask.shape == view.mask.shape else None
+            mask.cells.get("inverted" in changes)
+            if mask.view.mask.shape == view.mask.shape
+            else None
             for mask in masks
         ]
         if not any(compared):
             return [0.0] * len(masks)
-        axes = axes_of(one for one in assumptions if one.is_about(view))
-        pixels, _ = camera.project(points @ axes.T)
+        pixels, _ = camera.project(points @ axes_of(of_view).T)
         # Flipping the projection has the same effect as flipping the mask.
-        if across:
+        if "left-right" in changes:
             pixels[:, 0] = camera.width - 1.0 - pixels[:, 0]
-        if down:
+        if "upside-down" in changes:
             pixels[:, 1] = camera.height - 1.0 - pixels[:, 1]
         return [
             cells.iou(on_known_pixels(pixels, mask.view)) if cells else 0.0

@@ -20,7 +20,7 @@ import numpy as np
 from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array, Bits
 from ..geometry.camera import Camera
-from ..losses.projection import pixels_under, project
+from ..losses.projection import pixels_under, project_differentiably
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
 from ..optimisation.presets import STAGES
@@ -35,16 +35,17 @@ MODEL = Path(__file__).with_name("confidence.json")
 # A result with less confidence is doubtful.
 LEAST_CONFIDENCE = 0.5
 # Where silhouettes show a mistake, nothing moves up to the first confidence, and the displacement
-# is scaled from 0 to 1 up to the second. Where the other views outvote the suspicious ones, less
-# confidence is enough. Both were chosen on validation shapes.
-# Where short optimisations alone show a mistake, the start may as well be another shape, which
-# gains by the whole displacement. Without a finding doubt is not enough to hold it back: a cloud
-# far off its mask looks as a wrong camera does, and so does a box that was stretched.
-HELD_BACK, HELD_BACK_IF_OUTVOTED = (0.7, 0.8), (0.1, 0.3)
+# is scaled from 0 to 1 up to the second. Chosen on validation shapes.
+HELD_BACK = (0.7, 0.8)
+# The same where the other views outvote the suspicious ones: less confidence is enough.
+HELD_BACK_IF_OUTVOTED = (0.1, 0.3)
+# Nothing is held back where short optimisations alone show a mistake: the start may as well be
+# another shape, which gains by the whole displacement. Nor is it without a finding: a cloud far off
+# its mask looks like a wrong camera, and so does a box that was stretched.
 # The most confidence with a fitted camera that is unsure: half of these cameras are off by over 15
 # degrees (`tso lab pose`).
 MOST_CONFIDENCE_IF_UNSURE = 0.49
-# What is said if the features of a group took most of the confidence.
+# What is said if the features of a group lower the confidence most.
 REASONS = {
     "camera": "the points moved as one body, as a wrong camera would move them; is the camera "
     "right?",
@@ -74,7 +75,8 @@ class Trust:
         be worse, or the input is suspicious; None if there is no confidence.
     confidence : probability that the whole displacement does not make the cloud worse by over 5 %
         in Chamfer distance, in [0, 1]; None if it is not known.
-    reason : "finding", or a group of features (`REASONS`); else why there is no confidence.
+    reason : "finding", a group of features (`REASONS`) or "unsure-camera" if doubtful; else why
+        there is no confidence.
     says : the reason in words; "" if there is none.
     displacement_taken : the share of the displacement that is taken: 1, less where the result is
         doubtful, 0 where nothing moved.
@@ -118,8 +120,11 @@ class Trust:
             return cls("doubtful", None, FINDING, words_of(diagnosis))
         return cls(None, None, reason, says)
 
-    def with_unsure_camera(self, says: str) -> Trust:
-        """The same for a fitted camera that is unsure."""
+    def with_camera(self, diagnosis: Diagnosis) -> Trust:
+        """The same, with less confidence if the fitted camera is unsure."""
+        says = next((one.says for one in diagnosis.notes if one.name == "unsure-camera"), "")
+        if not says:
+            return self
         confidence = self.confidence and min(self.confidence, MOST_CONFIDENCE_IF_UNSURE)
         changed = dataclasses.replace(self, verdict="doubtful", confidence=confidence)
         if self.reason == FINDING:
@@ -227,7 +232,7 @@ def _misfit(
 
 def _outside(points: Array, camera: Camera, inside: Bits) -> float:
     """The share of the points that do not fall on ``inside`` [H, W]."""
-    projected = project(points, camera)
+    projected = project_differentiably(points, camera)
     pixel, within = pixels_under(projected.points_px, projected.valid, *inside.shape)
     return 1.0 - np.count_nonzero(within & inside.ravel()[pixel]) / len(points)
 
@@ -268,7 +273,7 @@ def _model() -> tuple[list[str], tuple[Array, ...]]:
 
 
 def confidence_of(features: dict[str, float]) -> tuple[float, str]:
-    """The confidence, and the group of features that takes most of it.
+    """The confidence, and the group of features that lowers it most.
 
     Without the features of that group (at their means) the confidence would be highest.
     """
@@ -277,7 +282,7 @@ def confidence_of(features: dict[str, float]) -> tuple[float, str]:
     standard = np.clip(standard, -MOST_DEVIATIONS, MOST_DEVIATIONS)
     groups = np.array([name.split(":")[0] for name in names])
     rows = np.stack([standard, *(np.where(groups == group, 0.0, standard) for group in REASONS)])
-    doubt = np.tanh(rows @ hidden + offset) @ output[:-1] + output[-1]
+    logits = np.tanh(rows @ hidden + offset) @ output[:-1] + output[-1]
     # Rounded down, as it is printed: what is printed as 0.50 is not doubtful.
-    confidence = np.floor(1e4 / (1.0 + np.exp(doubt[0]))) / 1e4
-    return float(confidence), list(REASONS)[int(doubt[1:].argmin())]
+    confidence = np.floor(1e4 / (1.0 + np.exp(logits[0]))) / 1e4
+    return float(confidence), list(REASONS)[int(logits[1:].argmin())]

@@ -25,6 +25,11 @@ COMPARED_POINTS = 1024
 # The most confidence where all masks are bounding boxes, and where most masks are mispaired. Of
 # 138 scenes of training shapes with boxes for masks 93 % got worse; of 97 mispaired ones 85 %.
 CONFIDENCE_OF_BOXES, CONFIDENCE_OF_MISPAIRED = 0.07, 0.15
+# What is said where nothing explains why cloud and mask do not meet.
+AXES_ADVICE = (
+    "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and "
+    "units"
+)
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,8 @@ class Diagnosis:
     weak : a hypothesis that only short optimisations can confirm, and whether they did.
     notes : what is worth reading before a result is used.
     explanation : None in the network modes, which place their cloud themselves.
+    most_confidence : an upper bound of the confidence, from what the masks can show.
+    outvoted : whether the suspicious views are few, so that the others outvote them.
     """
 
     placements: tuple[Placement, ...]
@@ -46,7 +53,6 @@ class Diagnosis:
     notes: tuple[Finding, ...] = ()
     explanation: Explanation | None = None
     most_confidence: float = 1.0
-    # Whether only a few views are suspicious, so that the others outvote them.
     outvoted: bool = False
 
     @property
@@ -184,10 +190,7 @@ def _no_overlap(
     elif part := part_met(placement, view):
         advice = "it meets a part of the mask: is the rest something else?"
     else:
-        advice = (
-            "check the camera's axes (OpenCV: x right, y down, z forward; "
-            "X_camera = R X_world + t) and units"
-        )
+        advice = AXES_ADVICE
     error = NoOverlapError(f"{problem}; {advice}")
     error.problem, error.diagnosis, error.part = problem, diagnosis, part
     return error

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 from .hypotheses import HYPOTHESES, Assumption
 
-# What makes a result doubtful, beside hypotheses.
+# What makes a result doubtful, apart from hypotheses.
 SUSPICIOUS_SYMPTOMS = {
-    "box": "the mask is the bounding box of the object, not its outline",
+    "box": "the mask is the bounding box of the object",
     "occluder": "something hides a part of the object",
     "mispaired": "masks and cameras are paired wrongly",
-    "unsure-camera": "the fitted camera is unsure: {why}",
 }
 # What is worth reading before a result is used.
 NOTES = {
+    "unsure-camera": "the fitted camera is unsure: {why}",
     "photo": "looks like a photo, grey in many places; expected a mask, light on the object and "
     "dark around it",
     "coarse": "shows the object with only {pixels} pixels: details smaller than 1/{side} of its "
@@ -32,8 +32,8 @@ NOTES = {
     "{nearest:.3g} to {farthest:.3g}; is the scale of the depth map right?",
     "assumed-picture": "the network infers sizes from the whole picture, which without a camera "
     "file is taken for a picture of the canonical camera",
-    "outliers": "{count:,} points lie far from the rest: they stay where they are, and no measure "
-    "counts them",
+    "outliers": "points far from the rest stay where they are, and no measure counts them "
+    "(found {count:,})",
     "not-a-mesh": "{why}, so the vertices are taken for a cloud",
 }
 SYMPTOMS = SUSPICIOUS_SYMPTOMS | NOTES
@@ -67,7 +67,10 @@ class Finding:
 
     @property
     def suspicious(self) -> bool:
-        """Whether it makes a result doubtful."""
+        """Whether the input may be wrong, so that the result is doubtful.
+
+        An unsure camera makes a result doubtful too, but nothing is known to be wrong with it.
+        """
         return self.name in HYPOTHESES or self.name in SUSPICIOUS_SYMPTOMS
 
     @property

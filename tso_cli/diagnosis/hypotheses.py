@@ -261,18 +261,29 @@ def as_meant(view: View, assumptions: Iterable[Assumption]) -> View:
 
     Depth map and photo are taken as right.
     """
-    mask, known, camera, axes = view.mask, view.known, view.camera, np.eye(3)
-    hypotheses = [one.hypothesis for one in assumptions if one.is_about(view)]
-    if not hypotheses:
+    of_view = [one for one in assumptions if one.is_about(view)]
+    if not of_view:
         return view
-    for hypothesis in hypotheses:
-        if hypothesis.mask == "inverted":
-            mask = np.float32(1.0) - mask
-        elif hypothesis.mask:
-            order = np.s_[:, ::-1] if hypothesis.mask == "left-right" else np.s_[::-1]
+    mask, known, camera = view.mask, view.known, view.camera
+    changes = mask_changes(view, of_view)
+    if "inverted" in changes:
+        mask = np.float32(1.0) - mask
+    for change, order in (("left-right", np.s_[:, ::-1]), ("upside-down", np.s_[::-1])):
+        if change in changes:
             mask, known = mask[order], None if known is None else known[order]
-        camera, axes = hypothesis.camera(camera), hypothesis.matrix @ axes
-    return _in_axes_of_cloud(replace(view, mask=mask, known=known, camera=camera), axes)
+    for assumption in of_view:
+        camera = assumption.hypothesis.camera(camera)
+    meant = replace(view, mask=mask, known=known, camera=camera)
+    return _in_axes_of_cloud(meant, axes_of(of_view))
+
+
+def mask_changes(view: View, assumptions: Iterable[Assumption]) -> set[MaskChange]:
+    """How the mask of a view differs from what is meant; a change made twice is none."""
+    changes: set[MaskChange] = set()
+    for assumption in assumptions:
+        if assumption.is_about(view) and assumption.hypothesis.mask:
+            changes ^= {assumption.hypothesis.mask}
+    return changes
 
 
 def axes_of(assumptions: Iterable[Assumption]) -> Array:

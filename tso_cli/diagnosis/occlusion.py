@@ -7,9 +7,8 @@ import numpy as np
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import longest_side
 from ..geometry.view import View
+from .cells import CELLS, Cells
 
-# Cells along the mask's longer side, in which silhouettes are compared.
-CELLS = 16
 # Blocks of pixels stand for the pixels of a mask whose longer side has over twice as many.
 SIDE = 256
 
@@ -43,6 +42,7 @@ def occluded(pixels: Array, view: View) -> float | None:
     size = longest_side(outline) + 1.0
     if size < 2 * CELLS or not len(pixels):
         return None
+    cells = Cells.around(outline, size / CELLS)
     last = np.array(inside.shape[::-1]) - 1.0
     corners = _hull(inside)
     for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -63,8 +63,8 @@ def occluded(pixels: Array, view: View) -> float | None:
         straight = at_edge >= max(Edge.LEAST_LENGTH * size, Edge.STRAIGHT_SHARE * near)
         if not straight or (beyond > Edge.BEYOND * size).mean() < Edge.BEYOND_SHARE:
             continue
-        without = _iou(outline, pixels[beyond <= 0.0], size)
-        if without >= _iou(outline, pixels, size) + Edge.LEAST_GAIN:
+        without = cells.iou(pixels[beyond <= 0.0])
+        if without >= cells.iou(pixels) + Edge.LEAST_GAIN:
             return without
     return None
 
@@ -97,12 +97,3 @@ def _hull(inside: Bits) -> Array:
 
 def _turn(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> int:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-
-
-def _iou(outline: Array, pixels: Array, size: float) -> float:
-    """IoU of two sets of pixels [N, 2], in cells."""
-    covered, inside = (
-        set(map(tuple, np.floor(places * (CELLS / size)).astype(int).tolist()))
-        for places in (pixels, outline)
-    )
-    return len(covered & inside) / len(covered | inside)

@@ -17,9 +17,7 @@ from .placement import Placement
 
 
 class CoarseMask:
-    """A mask with few pixels. By the longer side alone a mask is coarse only if its pixels are
-    wider than the spacing of the projected points.
-    """
+    """A mask with few pixels. A short side is no problem if two points fall on a pixel."""
 
     FEWEST_PIXELS = 16  # of the foreground
     FEWEST_ACROSS = 16  # along its longer side
@@ -41,7 +39,7 @@ class BoundingBox:
 class Photo:
     """A mask with more grey than a soft outline has: pixels whose neighbours are grey too."""
 
-    LEAST_SHARE = 1.05  # of the object or of the background, whichever is smaller
+    LEAST_RATIO = 1.05  # of the object or of the background, whichever is smaller
     GREY = (0.1, 0.9)
     ROWS = 256  # rows or columns that are counted, about
     FEWEST_PIXELS = 400  # of the smaller of object and background
@@ -63,7 +61,7 @@ def photo(view: View, number: int) -> Finding | None:
     # Every pixel of a thin part is at the outline, and has light or dark neighbours.
     middle = grey[1:-1, 1:-1]
     grey = middle & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
-    if smaller < Photo.FEWEST_PIXELS or np.count_nonzero(grey) <= Photo.LEAST_SHARE * smaller:
+    if smaller < Photo.FEWEST_PIXELS or np.count_nonzero(grey) <= Photo.LEAST_RATIO * smaller:
         return None
     return Finding("photo", (number,))
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.arrays import Array, Bits, Box
-from ..geometry.camera import NEAR, Camera
+from ..geometry.camera import Camera
 from ..geometry.points import longest_side, quantile
 from ..geometry.view import View
 from ..geometry.window import window_of
@@ -148,12 +148,11 @@ def footprint(points: Array, camera: Camera) -> Bits:
     """
     size = np.array([camera.width, camera.height])
     widest = LARGEST_RADIUS * float(size.max())
-    pixels, depth = camera.project(points)
+    pixels, depth, visible = camera.project_visible(points)
     # Points further outside change nothing in the image; NaN compares false.
-    visible = (np.abs(pixels - (size - 1.0) / 2.0) < size / 2.0 + 2.0 * widest).all(1)
+    visible &= (np.abs(pixels - (size - 1.0) / 2.0) < size / 2.0 + 2.0 * widest).all(1)
     scale = np.full(len(points), np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
     if camera.model == "perspective":
-        visible &= depth > NEAR * longest_side(points)
         scale[visible] /= depth[visible]
     silhouette = np.zeros((camera.height, camera.width), dtype=bool)
     if not visible.any():

@@ -98,13 +98,13 @@ def emd(prediction: ArrayLike, target: ArrayLike, squared: bool = False) -> floa
     if len(prediction) != len(target):
         raise InputError(
             f"EMD: found {len(prediction)} (prediction) and {len(target)} (target) points, "
-            "expected clouds of equal size: thin both with "
-            f"`points` {min(len(prediction), len(target), 1024)}"
+            "expected clouds of equal size: thin both (`points` "
+            f"{min(len(prediction), len(target), 1024)})"
         )
     if len(prediction) > EMD_LIMIT:
         raise InputError(
             f"EMD of {len(prediction)} points would take too long, expected at most {EMD_LIMIT}: "
-            "thin both with `points` 1024"
+            "thin both (`points` 1024)"
         )
     cost = cdist(prediction, target, "sqeuclidean" if squared else "euclidean")
     return float(cost[linear_sum_assignment(cost)].mean())

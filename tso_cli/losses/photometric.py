@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..geometry.arrays import Array
 from ..geometry.camera import Camera
 from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
-from .projection import Projected, pixels_under, project
+from .projection import Projected, pixels_under, project_differentiably
 
 # A point is visible if it lies at most this far (longest side 1) behind the front point of its
 # pixel and of the eight pixels around it.
@@ -109,7 +109,7 @@ class PhotometricTerm:
 
 def _visible(points: Array, photo: Photo) -> tuple[Projected, NDArray[np.bool_]]:
     """The projection of ``points`` [N, 3], and which of them are visible on the mask, [N]."""
-    projected = project(points, photo.camera)
+    projected = project_differentiably(points, photo.camera)
     depth = points @ photo.camera.R[2] + photo.camera.t[2]
     height, width = photo.inside.shape
     place, on = pixels_under(projected.points_px, projected.valid, height, width)

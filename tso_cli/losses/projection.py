@@ -47,7 +47,7 @@ class Projected:
         return gradient
 
 
-def project(points: Array, camera: Camera) -> Projected:
+def project_differentiably(points: Array, camera: Camera) -> Projected:
     """Eq. 1, ``p^ = K (R p + t)``, with its perspective division; ``points`` [N, 3]."""
     in_camera = points @ camera.R.T + camera.t
     plane, depth = in_camera[:, :2], in_camera[:, 2]

@@ -14,7 +14,7 @@ from ..kernels.dispatch import use_compiled
 from ..kernels.window import NEGLIGIBLE
 from .mask_chamfer import REFERENCE_SIDE
 from .nearest import nearest
-from .projection import project
+from .projection import project_differentiably
 
 # Variance of the paper's Gaussians, px^2 of a 64x64 grid.
 PAPER_SIGMA_SQ = 0.4
@@ -133,7 +133,9 @@ def silhouette_of(
     centre = (cloud.min(0) + cloud.max(0)) / 2.0
     scale = float((cloud.max(0) - cloud.min(0)).max()) or 1.0
     coarse, sigma_sq = _coarsened(camera, sigma_sq)
-    projected = project((cloud - centre) / scale, coarse.for_normalised(centre, scale))
+    projected = project_differentiably(
+        (cloud - centre) / scale, coarse.for_normalised(centre, scale)
+    )
     sums = np.zeros((coarse.height, coarse.width))
     for start in range(0, len(cloud), POINTS_AT_ONCE):
         part = slice(start, start + POINTS_AT_ONCE)

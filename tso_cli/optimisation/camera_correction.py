@@ -14,7 +14,7 @@ from ..geometry.rotations import cross_product_matrix, from_vectors
 from ..geometry.view import View
 from ..geometry.window import window_around, window_of
 from ..losses.chamfer import ChamferToStart
-from ..losses.projection import project
+from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
 from .adam import Adam
 from .loop import minimise
@@ -136,7 +136,7 @@ def moved_silhouette(
     camera = view.camera
     distance = distance_of(camera)
     moved = replace(camera, R=from_vectors(turn) @ camera.R, t=camera.t + distance * shift)
-    projected = project(points, moved)
+    projected = project_differentiably(points, moved)
     if not projected.valid.any():
         return np.inf, np.zeros_like(points), np.zeros(3), np.zeros(3)
     value, gradient_px = silhouette_bce(

@@ -39,11 +39,11 @@ class NetworkParameters:
             # The encoder runs once; a step is then the decoder alone.
             self._input = network.encoder(self._input).requires_grad_()
             self._predict = network.decoder
-            moving = [self._input]
+            trained = [self._input]
         else:
             part = network.encoder if mode == "encoder" else network
-            moving = list(part.requires_grad_(True).parameters())
-        self._optimiser = TorchAdam(moving, learning_rate)
+            trained = list(part.requires_grad_(True).parameters())
+        self._optimiser = TorchAdam(trained, learning_rate)
         with torch.no_grad():
             prediction = self._predict(self._input)[0]
         cloud = Cloud(prediction, "the network's prediction", predicted=True)
@@ -56,11 +56,11 @@ class NetworkParameters:
         return self.cloud.normalise(prediction)
 
     def step(self, gradient: Array) -> None:
-        """One step of the moving numbers, by the gradient [N, 3] at the last `points`."""
+        """One step of the trained numbers, by the gradient [N, 3] at the last `points`."""
         prediction = self._prediction
         by_prediction = torch.as_tensor(gradient / self.cloud.scale).to(prediction)
-        moving = self._optimiser.parameters
-        self._optimiser.apply(torch.autograd.grad(prediction, moving, by_prediction))
+        trained = self._optimiser.parameters
+        self._optimiser.apply(torch.autograd.grad(prediction, trained, by_prediction))
 
 
 class TorchAdam:

@@ -27,7 +27,7 @@ from ..losses.mask_chamfer import (
     mask_chamfer,
     resolvability,
 )
-from ..losses.projection import project
+from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
 from .resampled_view import ResampledView
 
@@ -55,7 +55,7 @@ class SilhouetteObjective:
 
 def silhouette_loss(points: Array, view: ResampledView, camera: Camera) -> tuple[float, Array]:
     """The cross-entropy by one view, and its gradient [N, 3]."""
-    projected = project(points, camera)
+    projected = project_differentiably(points, camera)
     # Without a visible point there is no gradient: a cloud behind the camera would be perfect.
     if not projected.valid.any():
         return np.inf, np.zeros_like(points)
@@ -137,7 +137,7 @@ class ViewTargets:
         nodes = points[field.nodes]
         found = []
         for view in self.views:
-            patches = project(nodes, view.camera).points_px[field.patches]
+            patches = project_differentiably(nodes, view.camera).points_px[field.patches]
             found.append(
                 field.of_nearest_node(resolvability(patches, view.mask.cells_per_mask_pixel))
             )
@@ -167,7 +167,10 @@ class MaskChamferObjective:
         for view in self.targets.views:
             if view.depth is not None and view.weight > 0.0:
                 value, by_points = depth_loss(
-                    points, project(points, view.camera), view.depth, self.robust_scale
+                    points,
+                    project_differentiably(points, view.camera),
+                    view.depth,
+                    self.robust_scale,
                 )
                 total, gradient = total + view.weight * value, gradient + view.weight * by_points
         return total, gradient, costs
@@ -186,7 +189,7 @@ class MaskChamferObjective:
                     points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient
                 )
             else:
-                projected = project(points, view.camera)
+                projected = project_differentiably(points, view.camera)
                 pixels, valid = projected.points_px, projected.valid
                 of_points, gradient_px = mask_chamfer(
                     pixels, valid, view.mask, self.robust_scale, resolved

@@ -27,7 +27,7 @@ from .view_weights import ViewWeights
 class WeighedProblem:
     """A problem with the weights of its views, and the displacement field of its start.
 
-    weights : of the given views. field : None but for the default preset in points mode.
+    weights : of the given views. field : None unless the default preset moves points.
     """
 
     problem: Problem

@@ -48,10 +48,10 @@ MOST_VIEWS_FOR_STEPS = 4
 
 # With a budget of fewer seconds for each view, 48 steps of 1,024 points may not fit ...
 SHORT_SECONDS = 0.3
-# ... and so many control points are the default.
+# ... and the default is this number of control points.
 SHORT_CONTROL_POINTS = 512
 # The share of a budget's seconds that the optimisation may take. The rest is for the evaluation.
-OPTIMISING = 0.8
+OPTIMISING_SHARE = 0.8
 
 # Least number of control points that may be asked for, and for which there is a confidence.
 FEWEST_CONTROL_POINTS = 16
@@ -144,5 +144,5 @@ COMPARISON_STEPS = 20
 
 
 def default_steps(views: int) -> int:
-    """Steps of the default preset in points mode for so many views."""
+    """Steps of the default preset in points mode for a number of views."""
     return BEST_POINTS.steps * min(views, MOST_VIEWS_FOR_STEPS)

@@ -16,8 +16,8 @@ from .presets import CoarseToFineConfig
 START_ROBUST_SCALE = 4.0
 # Least loss of the start that the prior weight is computed from, px^2 per mask pixel.
 LEAST_LOSS = 0.1
-# A part of the cloud is held by its own mean loss where that is over so many px^2 per mask pixel.
-# The mean is averaged over neighbours with this smoothness.
+# A part of the cloud is held by its own mean loss if that is over the first number, in px^2 per
+# mask pixel. The second is the smoothness with which it is averaged over neighbours.
 LOCAL_LOSS, LOCAL_SMOOTHNESS = 1.0, 1.0
 
 

@@ -150,7 +150,7 @@ def _sampled(depth: Array, box: Box, cells: int) -> Array:
     )
 
 
-# Least side of a window, in pixels of the mask, for which the last stage has so many cells a side.
+# Cells a side in the last stage -> the least side of a window that has them, in mask pixels.
 # More cells bring nothing, even for 16,384 points.
 FINE_GRIDS = {128: 96.0, 96: 48.0}
 FINEST_GRID = max(FINE_GRIDS)
@@ -159,7 +159,7 @@ FEWEST_POINTS_FOR_FINE = 512
 
 
 def fine_cells(side: float, points: int) -> int:
-    """Cells along a window of ``side`` pixels in stages with a fine grid, for so many points."""
+    """Cells along a window of ``side`` pixels in stages with a fine grid; ``points`` move."""
     if points < FEWEST_POINTS_FOR_FINE:
         return CELLS
     return next((cells for cells, pixels in FINE_GRIDS.items() if side >= pixels), CELLS)

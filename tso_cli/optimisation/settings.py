@@ -9,7 +9,7 @@ from .presets import CoarseToFineConfig
 
 @dataclass(frozen=True)
 class Settings:
-    """A `RefineConfig` with a number in place of every None.
+    """A `RefineConfig` with the preset's values in place of None.
 
     points : most control points, None for all points. seconds : how long the refinement may take.
     given : names of the values that the caller chose.

@@ -33,7 +33,7 @@ class CoarseToFine:
     follow : whether windows follow the cloud from stage to stage.
     observations : `Problem.observations`. The more views, the less the detail of the last stage is
         a guess: its weight in the mean of the stages grows with their square.
-    stage_terms : further terms of a stage that starts at these points.
+    stage_terms : called with (points, stage) when a stage starts: its further terms.
     """
 
     problem: Problem

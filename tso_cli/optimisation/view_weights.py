@@ -12,14 +12,14 @@ import numpy as np
 
 from ..geometry.arrays import Array, Bits
 from ..geometry.camera import Camera
-from ..losses.projection import pixels_under, project
+from ..losses.projection import pixels_under, project_differentiably
 from .objective import silhouette_loss
 from .resampled_view import ResampledView
 
 # With fewer views, none can be called the outlier.
 FEWEST_VIEWS_TO_OUTVOTE = 3
 # The next three were chosen on validation shapes with none or one of four views wrong.
-# A loss up to so many medians is tolerated ...
+# A loss up to this multiple of the median is tolerated ...
 TOLERATED_LOSS = 1.5
 # ... and so is any loss of a view whose gradient has this mean cosine with the others' gradients.
 TOLERATED_COSINE = 0.1
@@ -63,14 +63,14 @@ class ViewWeights:
 
 
 def inlier_weights(losses: Array, gradients: Array) -> Array:
-    """Weights [V] of views, some of which may show another object or have a wrong camera.
+    """Weights [V] of views. Some may show another object or have a wrong camera.
 
     A wrong view has a high loss, and a gradient that disagrees with the gradients of the other
     views. A high loss alone is no sign: where the cloud is wrong in depth, only a view from the
     side shows it, and its gradient leaves the other silhouettes as they are.
 
-    Let r be the loss over the median of the losses, and c the mean cosine between the gradient and
-    the other gradients, clamped to [0, 0.1]. The weight is min(1, 1.5 / r)^(4 (1 - c / 0.1)).
+    Let q be the loss over the median of the losses, and c the mean cosine between the gradient and
+    the other gradients, clamped to [0, 0.1]. The weight is min(1, 1.5 / q)^(4 (1 - c / 0.1)).
 
     ``losses`` [V], V >= 3, are comparable between views. ``gradients`` [V, D] are by the points.
     """
@@ -113,7 +113,7 @@ def _redundancy(views: Sequence[ResampledView], points: Array) -> Array:
 
 def _seen(view: ResampledView, points: Array) -> Bits:
     """[N] which points fall on known pixels of the view."""
-    projected = project(points, view.camera)
+    projected = project_differentiably(points, view.camera)
     pixel, within = pixels_under(projected.points_px, projected.valid, *view.mask.shape)
     return within if view.known is None else within & (view.known.ravel()[pixel] >= 0.5)
 

@@ -25,7 +25,7 @@ __all__ = ["MODES", "PRESETS", "RefineConfig", "RefineResult", "refine", "refine
 
 
 def __getattr__(name: str) -> Any:
-    """Load public names when first used, so that the settings can be read without torch."""
+    """Load public names when first used, so that reading the settings is quick."""
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_MODULES[name], __name__), name)

@@ -97,7 +97,7 @@ def refine(
 
 
 def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
-    """The comparisons of a cloud with a view, and the points in all of them, for `planned`."""
+    """How often a cloud is compared with a view, and that times its points, for `planned`."""
     comparisons = views * settings.steps
     if settings.staged:
         points = min(points, settings.points or points)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-from ..optimisation.presets import OPTIMISING
+from ..optimisation.presets import OPTIMISING_SHARE
 
 Result = TypeVar("Result")
 
@@ -46,4 +46,4 @@ class Clock:
 
     def until(self, seconds: float) -> float:
         """When the optimisation of a budget of ``seconds`` must end (`time.perf_counter`)."""
-        return math.inf if seconds == math.inf else self._started + OPTIMISING * seconds
+        return math.inf if seconds == math.inf else self._started + OPTIMISING_SHARE * seconds

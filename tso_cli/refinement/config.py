@@ -49,7 +49,7 @@ class RefineConfig:
     refine_camera : first correct the camera of each view, held near the given one; points mode.
     accept_doubtful : take the whole displacement although the result is doubtful.
     budget : "auto": the steps of the preset; or seconds, in which the refinement ends. In a batch
-        each cloud has so many seconds.
+        each cloud has that many seconds.
     points : most control points: points that move by themselves, while the others follow (16 to
         16,384; of a mesh at most 4,096). With "best" in points mode the default is 1,024, or 512
         with a budget of less than 0.3 seconds a view. Otherwise all points move.

@@ -28,8 +28,8 @@ from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
 
 Ious = list[tuple[float, float]]  # of each view, before and after
 
-# A start of lower IoU hardly touches its mask, as a pole beside its own mask: coming nearer need
-# not raise the IoU.
+# A start of lower IoU hardly touches its mask, like a pole next to the pole of its mask. Coming
+# nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
 # With fewer steps there is no confidence: what a few steps leave undone looks like a mistake.
 FEWEST_STEPS = BEST_POINTS.steps // 4
@@ -38,7 +38,7 @@ CONTRADICTED_WEIGHT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class _Judged:
+class _Ending:
     """What becomes of a displacement."""
 
     moved: MovedCloud
@@ -72,19 +72,19 @@ def judge(
         raise TsoError(
             "the loss is not a finite number after the first step (a smaller learning rate?)"
         )
-    judged = _judged(weighed, problem, optimised, given, diagnosis, settings)
-    cloud, moved, weights = problem.cloud, judged.moved, weighed.weights
+    ending = _ending(weighed, problem, optimised, given, diagnosis, settings)
+    cloud, moved, weights = problem.cloud, ending.moved, weighed.weights
     lengths = np.linalg.norm(moved.displacements, axis=1)
     chamfer, _ = ChamferToStart(cloud.start)(cloud.start + moved.displacements)
-    iou_before, iou_after = np.mean(judged.ious, 0).tolist()
+    iou_before, iou_after = np.mean(ending.ious, 0).tolist()
     fit = Fit(
-        outcome=judged.outcome,
+        outcome=ending.outcome,
         steps=optimised.steps,
-        best_step=optimised.best_step if judged.outcome == "moved" else 0,
-        stop_reason=_stop_reason(optimised, judged, settings.steps),
+        best_step=optimised.best_step if ending.outcome == "moved" else 0,
+        stop_reason=_stop_reason(optimised, ending, settings.steps),
         losses=losses,
-        loss_before=0.0 if judged.stop_reason == "nothing_to_do" else optimised.first_loss,
-        loss_after=_loss_after(problem, optimised, judged),
+        loss_before=0.0 if ending.stop_reason == "nothing_to_do" else optimised.first_loss,
+        loss_after=_loss_after(problem, optimised, ending),
         iou_before=iou_before,
         iou_after=iou_after,
         moved_mean=float(lengths.mean()),
@@ -103,7 +103,7 @@ def judge(
             cells=windowed.resampled.camera.width,
         )
         for view, windowed, (before, after), inlier, loss in zip(
-            given, problem.given, judged.ious, weights.inlier, weights.loss, strict=True
+            given, problem.given, ending.ious, weights.inlier, weights.loss, strict=True
         )
     )
     return RefineResult(
@@ -117,20 +117,20 @@ def judge(
         fit=fit,
         views=views,
         symmetry=problem.symmetry,
-        trust=judged.trust,
+        trust=ending.trust,
         cost=Cost(seconds, decisions(problem, settings, optimised)),
         findings=(*diagnosis.findings, *_contradicted(weights.inlier)),
     )
 
 
-def _judged(
+def _ending(
     weighed: WeighedProblem,
     problem: Problem,
     optimised: Optimised,
     given: Sequence[View],
     diagnosis: Diagnosis,
     settings: Settings,
-) -> _Judged:
+) -> _Ending:
     weights = weighed.weights
     displacements = optimised.best - problem.cloud.start
     moved, ious = _moved(problem, given, displacements)
@@ -139,20 +139,15 @@ def _judged(
         windowed.view.camera is view.camera
         for windowed, view in zip(problem.given, given, strict=True)
     )
-    compared = settings.staged and same_cameras and problem.masks_alone
-    before, after = 1.0, 0.0
-    if problem.cloud.partial and compared:
-        before, after = _misfits(problem, moved, weights.loss)
-    worse = after >= before or (compared and _agrees_less(ious, weights.loss))
-    unsure = next((one.says for one in diagnosis.notes if one.name == "unsure-camera"), None)
-    if optimised.best_step == 0 or worse:
+    kept: StopReason | None = None if optimised.best_step else "not_improved"
+    if settings.staged and same_cameras and problem.masks_alone:
+        kept = _why_start_is_kept(problem, moved, ious, weights.loss) or kept
+    if kept:
         start = problem.cloud.moved(np.zeros_like(displacements))
+        # Without a step the IoU after is the IoU by the corrected camera.
         ious = [(iou, iou if optimised.best_step else end) for iou, end in ious]
-        trust = Trust.unchanged(diagnosis)
-        trust = trust.with_unsure_camera(unsure) if unsure else trust
-        return _Judged(
-            start, ious, trust, "unchanged", "not_improved" if before else "nothing_to_do"
-        )
+        trust = Trust.unchanged(diagnosis).with_camera(diagnosis)
+        return _Ending(start, ious, trust, "unchanged", kept)
     unknown = _why_unknown(problem, optimised, settings)
     if unknown:
         trust = Trust.unknown(*unknown, diagnosis)
@@ -164,10 +159,10 @@ def _judged(
         trust = replace(trust, displacement_taken=1.0)
     if trust.displacement_taken < 1.0:
         moved, ious = _moved(problem, given, trust.displacement_taken * displacements)
-    trust = trust.with_unsure_camera(unsure) if unsure else trust
-    if trust.displacement_taken:
-        return _Judged(moved, ious, trust, "moved")
-    return _Judged(moved, ious, trust, "refused", "doubtful")
+    trust = trust.with_camera(diagnosis)
+    if trust.displacement_taken == 0.0:
+        return _Ending(moved, ious, trust, "refused", "doubtful")
+    return _Ending(moved, ious, trust, "moved")
 
 
 def _why_unknown(
@@ -206,6 +201,17 @@ def _moved(
     return moved, ious
 
 
+def _why_start_is_kept(
+    problem: Problem, moved: MovedCloud, ious: Ious, weights: Sequence[float]
+) -> StopReason | None:
+    """Why the start is better than the ``moved`` cloud by masks alone; None if it is not."""
+    if problem.cloud.partial:
+        before, after = _misfits(problem, moved, weights)
+        if after >= before:
+            return "not_improved" if before else "nothing_to_do"
+    return "not_improved" if _agrees_less(ious, weights) else None
+
+
 def _agrees_less(ious: Ious, weights: Sequence[float]) -> bool:
     """Whether the IoU fell.
 
@@ -231,23 +237,23 @@ def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> t
     return before, after
 
 
-def _loss_after(problem: Problem, optimised: Optimised, judged: _Judged) -> float:
+def _loss_after(problem: Problem, optimised: Optimised, ending: _Ending) -> float:
     """By the last objective."""
-    if judged.outcome != "moved":
-        return 0.0 if judged.stop_reason == "nothing_to_do" else optimised.first_loss
-    taken = judged.trust.displacement_taken
+    if ending.outcome != "moved":
+        return 0.0 if ending.stop_reason == "nothing_to_do" else optimised.first_loss
+    taken = ending.trust.displacement_taken
     if taken == 1.0 or optimised.objective is None:
         return optimised.best_loss
     start = problem.cloud.start
     return optimised.objective(start + taken * (optimised.best - start))[0]
 
 
-def _stop_reason(optimised: Optimised, judged: _Judged, steps: int) -> StopReason:
+def _stop_reason(optimised: Optimised, ending: _Ending, steps: int) -> StopReason:
     if optimised.steps + 1 < len(optimised.losses):
         return "non_finite"
     if optimised.interrupted:
         return "interrupted"
-    kept = judged.stop_reason
+    kept = ending.stop_reason
     if optimised.out_of_time and kept in (None, "not_improved"):
         return "out_of_time"
     if steps == 0 or not kept:

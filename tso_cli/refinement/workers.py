@@ -87,7 +87,7 @@ def _fork(
 ) -> None:
     context = multiprocessing.get_context("fork")
     with ProcessPoolExecutor(processes, context, initializer=_begin, initargs=(work,)) as pool:
-        # Ctrl-C waits until all processes are there, and told to leave it to this one.
+        # Ctrl-C waits until all processes are there and leave it to this one.
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             waiting = {pool.submit(_call, number): number for number in numbers}
@@ -120,7 +120,7 @@ _work: Callable[[int], Any]
 def _begin(work: Callable[[int], Any]) -> None:
     global _work
     _work = work
-    # Ctrl-C reaches all processes; the first one tells the others.
+    # Ctrl-C reaches all processes; the first one ends the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

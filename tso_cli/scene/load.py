@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..network.model import BaseNetwork
 
 Placing = Literal["silhouette", "box", "camera"]
-NO_FILE = "(no camera file was given or found beside the mask)"
+NO_FILE = "(no camera file was given or found next to the mask)"
 MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 
 
@@ -33,7 +33,7 @@ MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 class Scene:
     """Everything one refinement needs, and where it is from.
 
-    refined : the start, its views and how they are meant. The start is the cloud of the file, or
+    given : the start, its views and how they are meant. The start is the cloud of the file, or
         the network's prediction in the network's frame.
     camera_sources : for each view, where its camera is from. camera_summary : the same for all
         views, shorter.
@@ -44,7 +44,7 @@ class Scene:
         variance of its training.
     """
 
-    refined: RefineScene
+    given: RefineScene
     camera_sources: tuple[str, ...]
     camera_summary: str
     frame: str
@@ -57,12 +57,12 @@ class Scene:
     @property
     def points(self) -> Array:
         """[N, 3] float64, the start."""
-        return self.refined.cloud.points
+        return self.given.cloud.points
 
     @property
     def views(self) -> tuple[View, ...]:
         """The views as they are meant. In the network modes there is one, of the network's crop."""
-        return self.refined.views
+        return self.given.views
 
     @property
     def view(self) -> View:
@@ -74,7 +74,7 @@ class Scene:
 class ViewFiles:
     """The files of one or several views. ``ignore``, ``depth``, ``image`` : one a mask, or none.
 
-    camera : the file of all cameras; None looks for files beside the masks.
+    camera : the file of all cameras; None looks for files next to the masks.
     assume : names of hypotheses that are taken as true. invert : "mask-inverted" is one of them.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
     """
@@ -107,7 +107,7 @@ class ViewFiles:
 def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
     """Read masks and their cameras.
 
-    A camera is from the file named, else from a file beside the mask, else (for a single mask) it
+    A camera is from the file named, else from a file next to the mask, else (for a single mask) it
     is the canonical one. Returns the views as they were read, and each camera's file, None for the
     canonical camera. Raises InputError if a file cannot be used, sizes or numbers of files differ,
     or a mask is all object or all background.
@@ -119,7 +119,7 @@ def load_views(files: ViewFiles) -> tuple[list[View], list[Path | None]]:
         numbers = [number for number, other in enumerate(sources) if other == source]
         if source is None:
             raise InputError(
-                f"{files.masks[numbers[0]]}: no camera file was given or found beside it, "
+                f"{files.masks[numbers[0]]}: no camera file was given or found next to it, "
                 f"expected `camera` FILE with a view for each of {len(files.masks)} masks"
             )
         if len(numbers) > 1:
@@ -198,8 +198,8 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
         summary = f"camera {names[0]}" if sources[0] else f"canonical camera {NO_FILE}"
     mirrored = MIRRORED if left_handed(assumptions) else ""
     described = tuple(camera_source(source) + mirrored for source in sources)
-    refined = RefineScene(cloud, tuple(read), assumptions)
-    return Scene(refined, described, summary, "input", file)
+    given = RefineScene(cloud, tuple(read), assumptions)
+    return Scene(given, described, summary, "input", file)
 
 
 def _with_fitted_camera(
@@ -220,8 +220,8 @@ def _with_fitted_camera(
         () if fitted.sure else (Finding("unsure-camera", (0,), values={"why": fitted.why_unsure}),)
     )
     summary = f"camera fitted to cloud and mask ({'sure' if fitted.sure else 'unsure'})"
-    refined = RefineScene(cloud, (read,), of_mask, known)
-    return Scene(refined, (fitted.describe(),), summary, "input", file)
+    given = RefineScene(cloud, (read,), of_mask, known)
+    return Scene(given, (fitted.describe(),), summary, "input", file)
 
 
 def camera_source(camera_file: Path | None) -> str:

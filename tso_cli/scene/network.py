@@ -18,7 +18,7 @@ from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
 from ..geometry.view import View
 from ..io.checkpoints import load_network
 from ..io.images import read_image
-from ..losses.projection import project
+from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
 from ..network.input import network_input
 from ..optimisation.adam import Adam
@@ -82,7 +82,8 @@ def load_network_scene(
         )
     if camera_file is None and placing == "camera":
         raise InputError(
-            "`place` camera needs the camera's t; found no camera file, expected one (`camera` FILE)"
+            "`place` camera needs the camera's t; found no camera file, expected one "
+            "(`camera` FILE)"
         )
     if camera_file is None and world:
         raise InputError(
@@ -188,7 +189,7 @@ def _placed(points: Array, crop: View, view: View, placing: Placing, sigma_sq: f
 
 
 def place_in_front(points: Array, view: View) -> Camera:
-    """The canonical camera with the view's K, shifted so that the cloud [N, 3] fills the mask's box.
+    """The canonical camera with the view's K, shifted so that a cloud [N, 3] fills the mask's box.
 
     The cloud is view-aligned and centred.
 
@@ -233,7 +234,7 @@ def align_silhouette(
     weights = mask * known, (1.0 - mask) * known
 
     def silhouette_loss(shift: Array) -> tuple[float, Array]:
-        projected = project(points, replace(view.camera, t=view.camera.t + shift[0]))
+        projected = project_differentiably(points, replace(view.camera, t=view.camera.t + shift[0]))
         if not projected.valid.any():
             return np.inf, shift
         value, gradient_px = silhouette_bce(

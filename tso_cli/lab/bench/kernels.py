@@ -14,7 +14,7 @@ from ...geometry.resampling import area_resize
 from ...kernels.dispatch import planned
 from ...kernels.window import window_radius
 from ...losses.chamfer import ChamferToStart
-from ...losses.projection import project
+from ...losses.projection import project_differentiably
 from ...losses.silhouette import silhouette_bce
 from ...optimisation.loop import Array, Term
 from ...optimisation.presets import SIGMA_SQ
@@ -52,7 +52,9 @@ def scene(count: int, side: int, seed: int = 0) -> tuple[Array, Array]:
     (view,) = chair_views()
     box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
     mask = area_resize(view.mask, box, side, side)[0].clip(0.0, 1.0)
-    return project(cloud(count, seed), view.camera.resized(side, side)).points_px, mask
+    return project_differentiably(
+        cloud(count, seed), view.camera.resized(side, side)
+    ).points_px, mask
 
 
 def scattered_loss(points: Array, mask: Tensor) -> tuple[float, Array]:

@@ -152,7 +152,7 @@ def refine_rows(name: str, question: Question, cases: list[tuple[Case, Truth]], 
                 "before": chamfer(case.initial, case.target).chamfer,
                 "chamfer": chamfer(result.points, case.target).chamfer,
             }
-            row |= {PLANES: float(result.symmetry is None)} if question.planes else {}
+            row |= {PLANES: float(result.symmetry.plane is None)} if question.planes else {}
             records[number]["rows"][label] = rounded(row)
     return records
 
