@@ -74,7 +74,12 @@ def advice() -> str:
         ("a cloud, one mask", "the default", "other", "points, best"),
         ("", "`--points 512`", "other", "points, best, 512 move"),
         ("", "`--preset paper`", "other", "points, paper"),
-        ("", "PyTorch3D's alpha points, optimised as in the paper", "other", "alpha points"),
+        (
+            "",
+            "for comparison, no option of tso: PyTorch3D's soft renderer of points",
+            "other",
+            "alpha points",
+        ),
         ("a cloud, two masks", "the default", "other", "points, best, 2 masks"),
         ("a cloud, four masks", "the default", "other", "points, best, 4 masks"),
         ("a photo alone", "`--mode latent`", "network", "latent, best"),
@@ -279,8 +284,9 @@ def flagged() -> str:
         f"- the camera is turned by {yaw} degrees of yaw, moved {aside} % sideways, "
         f"or {distance} times as far away.\n\n"
         f"*Works* means that at most {100 * FEW:.0f} % of the clouds get worse by more than 5 %.\n"
-        "In the harder half of the study, tso flags these shares of the results that got worse:\n"
-        f"{', '.join(shares)}, by what was wrong."
+        "Each change has levels from harmless to hopeless. In the second half of the levels, tso\n"
+        "warns of these shares of the results that got worse, by what was wrong:\n"
+        f"{', '.join(shares)}."
     )
 
 
