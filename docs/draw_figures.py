@@ -51,7 +51,7 @@ def draw_pipeline(path: Path) -> None:
     titles = (
         "mask, cloud and window",
         "resampled: 64 x 64 cells",
-        "mirrored view: a second picture",
+        "flipped view: a second picture",
         "objective: pairs that attract",
         "result",
     )
@@ -93,7 +93,7 @@ def _draw_boxes(axes: Axes) -> None:
     steps = (
         ("examine", "do cloud, masks and\ncameras belong together?\nfindings are reported"),
         ("prepare", "control points, windows,\nweights of the views,\nmirror plane"),
-        ("verify", "short optimisations test\nthe mirror plane and\nuncertain findings"),
+        ("verify", "short optimisations test\nthe mirror plane and\nweak hypotheses"),
         (
             "optimise",
             "three stages, from smooth\nto detailed displacements;\ntheir mean is the result",

@@ -13,7 +13,7 @@ from .stages import CoarseToFine
 
 # The share of the time left that a comparison may take.
 TIME_SHARE = 0.5
-# So many steps show how long an optimisation will take, up to this factor.
+# This number of steps shows how long an optimisation will take, up to this factor.
 TIMED_STEPS, TIMING_FACTOR = 6, 1.5
 
 
