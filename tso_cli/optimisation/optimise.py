@@ -16,7 +16,8 @@ from .adam import Adam
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import SilhouetteObjective
 from .parameters import PointParameters
-from .presets import Stage
+from .presets import BAD_START, MORE_STEPS, Stage
+from .prior import start_loss
 from .problem import Problem
 from .settings import Settings
 from .stages import CoarseToFine, network_objective
@@ -41,6 +42,15 @@ def weigh(problem: Problem, settings: Settings) -> WeighedProblem:
     if settings.preset == "best":
         weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start)
     return WeighedProblem(problem, weights, SmoothField(start) if settings.staged else None)
+
+
+def steps_for(weighed: WeighedProblem, settings: Settings) -> int:
+    """Steps to take: more than the default where the start fits several large masks badly."""
+    problem = weighed.problem
+    if not settings.staged or "steps" in settings.given or not problem.several_large:
+        return settings.steps
+    loss, _ = start_loss(problem.cloud.start, problem.targets(weighed.weights.loss))
+    return settings.steps * (MORE_STEPS if loss > BAD_START else 1)
 
 
 def optimise(

@@ -12,7 +12,7 @@ from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypothesis, verify_plane
 from ..optimisation.camera_correction import corrected_cameras
 from ..optimisation.loop import Parameters, Progress
-from ..optimisation.optimise import WeighedProblem, optimise, weigh
+from ..optimisation.optimise import WeighedProblem, optimise, steps_for, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
 from .clock import Clock
@@ -42,6 +42,9 @@ def run(
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
     diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
+    if not clock.interrupted:
+        with clock.phase("prepare"):
+            settings = replace(settings, steps=steps_for(weighed, settings))
     steps, report = (0, None) if clock.interrupted else (settings.steps, on_progress)
     with clock.phase("optimise"):
         until = clock.until(settings.seconds)
