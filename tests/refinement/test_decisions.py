@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes import problem_of
+from tests.scenes import problem_of, seen, turned
 from tso_cli import RefineConfig, refine
 from tso_cli.optimisation.loop import Optimised
+from tso_cli.optimisation.optimise import steps_for, weigh
 from tso_cli.optimisation.symmetry import SymmetryCheck
 from tso_cli.refinement.decisions import decisions
 
@@ -17,7 +18,7 @@ def _decided(problem, config=None, steps=48, done=None, **parts):
     settings = (config or RefineConfig()).settings(len(problem.given))
     losses = [1.0] * (1 + (steps if done is None else done))
     optimised = Optimised(problem.cloud.start, 0, losses, False, 1.0, 1.0)
-    decided = decisions(problem, settings, replace(optimised, **parts))
+    decided = decisions(problem, replace(settings, steps=steps), replace(optimised, **parts))
     return {decision.what: decision for decision in decided}
 
 
@@ -58,7 +59,51 @@ def test_why_the_steps_ended(chair, config, steps, done, parts, reason):
     decision = _decided(problem_of(chair.points, chair.view), config, steps, done, **parts)["steps"]
     assert decision.choice == str(done)
     assert decision.reason == reason
-    assert decision.saving == pytest.approx(1.0 - done / max(done, 48))
+    assert decision.saving == pytest.approx(1.0 - done / 96)
+
+
+def _views(chair, *sides):
+    """The true shape from several sides, in masks as wide as ``sides``."""
+    cameras = [
+        turned(chair.camera.resized(side, side), 50.0 * number) for number, side in enumerate(sides)
+    ]
+    return [seen(chair.target, camera) for camera in cameras]
+
+
+@pytest.mark.parametrize("symmetry", ["auto", "none"])
+@pytest.mark.parametrize(
+    ("sides", "start", "config", "steps"),
+    [
+        ([256, 256], "initial", RefineConfig(), 2 * 96),
+        ([256, 64], "initial", RefineConfig(), 96),
+        ([256, 256], "target", RefineConfig(), 96),
+        # Fewer points cannot follow the finest grid.
+        ([256, 256], "few", RefineConfig(), 96),
+        ([256], "initial", RefineConfig(), 48),
+        ([256, 256], "initial", RefineConfig(steps=96), 96),
+        ([256, 256], "initial", RefineConfig(preset="paper"), 50),
+    ],
+)
+def test_several_large_masks_that_the_start_fits_badly_take_twice_the_steps(
+    chair, symmetry, sides, start, config, steps
+):
+    points = {
+        "initial": chair.points,
+        "target": 1.02 * chair.target,
+        "few": chair.points[:400],
+    }[start]
+    views, settings = _views(chair, *sides), config.settings(len(sides))
+    problem = problem_of(points, *views, symmetry=symmetry)
+    assert steps_for(weigh(problem, settings), settings) == steps
+
+
+def test_a_refinement_takes_the_steps_that_were_decided(chair):
+    views = _views(chair, 256, 256)
+    result = refine(chair.points, views, config=RefineConfig(symmetry="none"))
+    assert result.fit.steps == result.settings.steps == 2 * 96
+    (steps,) = (decision for decision in result.cost.decisions if decision.what == "steps")
+    assert steps.reason == "the start fits 2 large masks badly"
+    assert steps.saving == 0.0
 
 
 def test_as_many_points_move_by_themselves_as_are_asked_for(chair):
