@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import tso_cli.refinement
 from tests.corruption import assert_refused
 from tests.lab.test_study import run_toys
 from tests.training import make_known
+from tso_cli.commands import refine_run
 from tso_cli.errors import InputError
 from tso_cli.io import output, reading
 from tso_cli.io.clouds import read_cloud, write_cloud
@@ -67,14 +67,14 @@ def written(folder, known=("initial.ply", "mask.png", "image.png", "camera.json"
 
 def at_end_of_refinement(monkeypatch, action):
     """Call ``action`` once a refinement is done, before its files are written."""
-    refine = tso_cli.refinement.refine
+    refine = refine_run.refine
 
     def refine_then_act(*arguments, **options):
         result = refine(*arguments, **options)
         action()
         return result
 
-    monkeypatch.setattr(tso_cli.refinement, "refine", refine_then_act)
+    monkeypatch.setattr(refine_run, "refine", refine_then_act)
 
 
 @pytest.mark.parametrize("name", NAMES)

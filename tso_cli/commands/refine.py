@@ -1,29 +1,16 @@
-"""`tso refine`: parse, call, print."""
+"""`tso refine`: its options; `RefineRun` does the work."""
 
 from __future__ import annotations
 
-import sys
-import time
-import warnings
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from ..errors import GateError, InputError
-from ..io.reading import require_memory
+from ..errors import InputError
 from ..optimisation.presets import MODES, PRESETS
 from . import options
 
-if TYPE_CHECKING:
-    from ..refinement import RefineConfig, RefineResult
-    from ..scene.load import Scene
-    from .refine_files import RefineInputs, RefineOutputs
-    from .sentences import Words
-
 PATH = options.FilePath()
-# Memory of one control point.
-BYTES_OF_A_CONTROL_POINT = 1100
 HEADINGS = {
     "mode": "Method",
     "checkpoint": "Network modes",
@@ -243,147 +230,10 @@ def command(
     other attributes stay. A large cloud, or the surface of a mesh, moves by 1,024 control points;
     all other points follow.
     """
-    started = time.perf_counter()
     if quiet and verbose:
         raise InputError("--quiet and --verbose, expected one of the two")
     warned = ctx.with_resource(options.Warnings(quiet)).texts
     with options.loading():
-        from .refine_files import RefineInputs, RefineOutputs
-    inputs = options.pick(RefineInputs, chosen)
-    chosen["output"] = chosen["output"] or Path(f"{inputs.source.stem}.refined.ply")
-    outputs = options.pick(RefineOutputs, chosen)
-    _require_points_mode(inputs, chosen)
-    if not check:
-        outputs.check(inputs.files)
-    scene = inputs.load()
-    if verbose or (check and not quiet):
-        _log_sources(inputs, scene)
-    with options.loading():
-        from .refine_check import check_scene
-        from .sentences import Words
-    config = _config(inputs, scene, chosen, strict)
-    settings = config.settings(len(scene.views))
-    words = Words([view.name for view in scene.views], inputs.invert_mask)
-    if check:
-        reason = check_scene(scene, settings, words, as_json, quiet, warned)
-        if reason and strict:
-            raise GateError(f"{inputs.source}: is doubtful: {reason}")
-        return
-    _require_writable_cameras(inputs, outputs, scene)
-    read = time.perf_counter() - started
-    if settings.points is None and inputs.mode == "points":
-        require_memory(inputs.source, BYTES_OF_A_CONTROL_POINT * len(scene.points))
-    result = _refined(inputs, scene, config, words, quiet, verbose)
-    writing = time.perf_counter()
-    refused = strict and result.trust.verdict in ("doubtful", None)
-    if not refused:
-        outputs.write(result, scene, inputs.masks)
-    finished = time.perf_counter()
-    times = {"write": finished - writing, "total": finished - started}
-    for text in words.warnings(result):
-        warnings.warn(text, stacklevel=1)
-    from .refine_report import RefineReport
-
-    seconds = {"read": read, **result.cost.seconds, **times}
-    corrected = chosen["refine_camera"]
-    budget = "auto" if config.budget == "auto" else config.budget_seconds
-    report = RefineReport(result, scene, inputs, outputs, words, corrected, budget, seconds)
-    if as_json:
-        options.echo_json(report.document(warned, written=not refused))
-    if refused:
-        verdict = result.trust.verdict or "without confidence"
-        raise GateError(
-            f"{inputs.source}: the result is {verdict}: {words.reason(result)}; with --strict "
-            "nothing is written"
-        )
-    if not as_json and not quiet:
-        report.print_summary()
-        if verbose:
-            report.print_details()
-    if result.fit.stop_reason == "interrupted":
-        ctx.exit(130)
-
-
-def _require_points_mode(inputs: RefineInputs, chosen: dict[str, Any]) -> None:
-    """Refuse options about cameras in the network modes."""
-    for name in ("refine_camera", "write_camera"):
-        if chosen[name] and inputs.mode != "points":
-            raise InputError(
-                f"--{name.replace('_', '-')} is for --mode points, found --mode {inputs.mode}, "
-                "which places its cloud before the camera itself"
-            )
-
-
-def _log_sources(inputs: RefineInputs, scene: Scene) -> None:
-    if inputs.checkpoint is not None:
-        options.log(f"tso: checkpoint: {inputs.checkpoint}")
-    options.log(f"tso: camera: {', '.join(dict.fromkeys(scene.camera_sources))}")
-
-
-def _config(
-    inputs: RefineInputs, scene: Scene, chosen: dict[str, Any], strict: bool
-) -> RefineConfig:
-    with options.loading():
-        from ..refinement import RefineConfig
-    if chosen["sigma_sq"] is None:
-        chosen["sigma_sq"] = scene.sigma_sq
-    elif inputs.preset == "best" and not chosen["refine_camera"]:
-        warnings.warn(
-            "--sigma-sq is of the paper's projection, which the preset best does not use",
-            stacklevel=1,
-        )
-    config = options.pick(RefineConfig, chosen)
-    if strict and not config.settings().staged:
-        raise InputError(
-            "--strict is for results with a confidence, of --mode points --preset best, found "
-            f"--mode {config.mode} --preset {config.preset}"
-        )
-    return config
-
-
-def _require_writable_cameras(inputs: RefineInputs, outputs: RefineOutputs, scene: Scene) -> None:
-    """Refuse to write the cameras of a cloud with left-handed axes."""
-    from ..diagnosis.hypotheses import left_handed
-
-    if outputs.write_camera and left_handed(scene.given.assumptions):
-        raise InputError(
-            f"--write-camera {outputs.write_camera}: the cloud has left-handed axes, which no "
-            f"camera has; found --assume {' '.join(inputs.assume)}, expected a cloud with "
-            "right-handed axes"
-        )
-
-
-def _refined(
-    inputs: RefineInputs,
-    scene: Scene,
-    config: RefineConfig,
-    words: Words,
-    quiet: bool,
-    verbose: bool,
-) -> RefineResult:
-    """The result, with a progress bar on a terminal."""
-    from ..diagnosis.examine import NoOverlapError
-    from ..refinement import refine
-
-    bar = options.ProgressBar("tso: refining")
-
-    def on_progress(step: int, total: int, loss: float) -> None:
-        bar(step, total, f"steps, loss {loss:.6g}" if verbose else "steps")
-
-    given = scene.given
-    try:
-        with options.naming(inputs.source):
-            return refine(
-                given.cloud if inputs.mode == "points" else None,
-                given.read,
-                config=config,
-                assume=given.assumptions,
-                network=scene.network,
-                image=scene.image,
-                known=given.known,
-                progress=on_progress if sys.stderr.isatty() and not quiet else None,
-            )
-    except NoOverlapError as error:
-        raise words.no_overlap(error) from None
-    finally:
-        bar.close()
+        from .refine_run import RefineRun
+    run = RefineRun(chosen, warned, check, strict, quiet, verbose, as_json)
+    ctx.exit(run.check() if check else run.refine())

@@ -1,0 +1,175 @@
+"""One run of `tso refine`: files in, result, files and words out."""
+
+from __future__ import annotations
+
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+from ..diagnosis.examine import NoOverlapError
+from ..diagnosis.hypotheses import left_handed
+from ..errors import GateError, InputError
+from ..io.reading import require_memory
+from ..refinement import RefineConfig, RefineResult, refine
+from . import options
+from .refine_check import check_scene
+from .refine_files import RefineInputs, RefineOutputs
+from .refine_report import RefineReport
+from .sentences import Words
+
+# Memory of one control point.
+BYTES_OF_A_CONTROL_POINT = 1100
+INTERRUPTED = 130
+"""The exit code after Ctrl-C."""
+
+
+class RefineRun:
+    """What the options ask for, read and checked.
+
+    ``warned`` collects the warnings of the run.
+    """
+
+    def __init__(
+        self,
+        chosen: dict[str, Any],
+        warned: list[str],
+        check: bool,
+        strict: bool,
+        quiet: bool,
+        verbose: bool,
+        as_json: bool,
+    ) -> None:
+        self._started = time.perf_counter()
+        self._warned, self._strict, self._as_json = warned, strict, as_json
+        self._quiet, self._verbose = quiet, verbose
+        self._inputs = options.pick(RefineInputs, chosen)
+        output = chosen["output"] or Path(f"{self._inputs.source.stem}.refined.ply")
+        self._outputs = options.pick(RefineOutputs, {**chosen, "output": output})
+        self._refine_camera = chosen["refine_camera"]
+        self._require_points_mode()
+        if not check:
+            self._outputs.check(self._inputs.files)
+        self._scene = self._inputs.load()
+        if verbose or (check and not quiet):
+            self._log_sources()
+        self._config = self._configured(chosen)
+        self._settings = self._config.settings(len(self._scene.views))
+        names = [view.name for view in self._scene.views]
+        self._words = Words(names, self._inputs.invert_mask)
+
+    def check(self) -> int:
+        """Examine the input alone; the exit code."""
+        reason = check_scene(
+            self._scene, self._settings, self._words, self._as_json, self._quiet, self._warned
+        )
+        if reason and self._strict:
+            raise GateError(f"{self._inputs.source}: is doubtful: {reason}")
+        return 0
+
+    def refine(self) -> int:
+        """Refine, write the files and print the result; the exit code."""
+        self._require_writable_cameras()
+        read = time.perf_counter() - self._started
+        result = self._refined()
+        writing = time.perf_counter()
+        refused = self._strict and result.trust.verdict in ("doubtful", None)
+        if not refused:
+            self._outputs.write(result, self._scene, self._inputs.masks)
+        finished = time.perf_counter()
+        for text in self._words.warnings(result):
+            warnings.warn(text, stacklevel=1)
+        times = {"write": finished - writing, "total": finished - self._started}
+        self._print(result, {"read": read, **result.cost.seconds, **times}, refused)
+        return INTERRUPTED if result.fit.stop_reason == "interrupted" else 0
+
+    def _require_points_mode(self) -> None:
+        """Refuse options about cameras in the network modes."""
+        mode = self._inputs.mode
+        options_used = {
+            "--refine-camera": self._refine_camera,
+            "--write-camera": self._outputs.write_camera,
+        }
+        for name, used in options_used.items():
+            if used and mode != "points":
+                raise InputError(
+                    f"{name} is for --mode points, found --mode {mode}, which places its cloud "
+                    "before the camera itself"
+                )
+
+    def _log_sources(self) -> None:
+        if self._inputs.checkpoint is not None:
+            options.log(f"tso: checkpoint: {self._inputs.checkpoint}")
+        options.log(f"tso: camera: {', '.join(dict.fromkeys(self._scene.camera_sources))}")
+
+    def _configured(self, chosen: dict[str, Any]) -> RefineConfig:
+        sigma_sq = chosen["sigma_sq"]
+        if sigma_sq is not None and self._inputs.preset == "best" and not self._refine_camera:
+            warnings.warn(
+                "--sigma-sq is of the paper's projection, which the preset best does not use",
+                stacklevel=1,
+            )
+        sigma_sq = self._scene.sigma_sq if sigma_sq is None else sigma_sq
+        config = options.pick(RefineConfig, {**chosen, "sigma_sq": sigma_sq})
+        if self._strict and not config.settings().staged:
+            raise InputError(
+                "--strict is for results with a confidence, of --mode points --preset best, found "
+                f"--mode {config.mode} --preset {config.preset}"
+            )
+        return config
+
+    def _require_writable_cameras(self) -> None:
+        """Refuse to write the cameras of a cloud with left-handed axes."""
+        path = self._outputs.write_camera
+        if path and left_handed(self._scene.given.assumptions):
+            raise InputError(
+                f"--write-camera {path}: the cloud has left-handed axes, which no camera has; "
+                f"found --assume {' '.join(self._inputs.assume)}, expected a cloud with "
+                "right-handed axes"
+            )
+
+    def _refined(self) -> RefineResult:
+        """The result, with a progress bar on a terminal."""
+        scene, source, given = self._scene, self._inputs.source, self._scene.given
+        points_mode = self._inputs.mode == "points"
+        if points_mode and self._settings.points is None:
+            require_memory(source, BYTES_OF_A_CONTROL_POINT * len(scene.points))
+        bar = options.ProgressBar("tso: refining")
+
+        def on_progress(step: int, total: int, loss: float) -> None:
+            bar(step, total, f"steps, loss {loss:.6g}" if self._verbose else "steps")
+
+        try:
+            with options.naming(source):
+                return refine(
+                    given.cloud if points_mode else None,
+                    given.read,
+                    config=self._config,
+                    assume=given.assumptions,
+                    network=scene.network,
+                    image=scene.image,
+                    known=given.known,
+                    progress=on_progress if sys.stderr.isatty() and not self._quiet else None,
+                )
+        except NoOverlapError as error:
+            raise self._words.no_overlap(error) from None
+        finally:
+            bar.close()
+
+    def _print(self, result: RefineResult, seconds: dict[str, float], refused: bool) -> None:
+        budget = "auto" if self._config.budget == "auto" else self._config.budget_seconds
+        of_run = self._scene, self._inputs, self._outputs, self._words
+        report = RefineReport(result, *of_run, self._refine_camera, budget, seconds)
+        if self._as_json:
+            options.echo_json(report.document(self._warned, written=not refused))
+        if refused:
+            verdict = result.trust.verdict or "without confidence"
+            raise GateError(
+                f"{self._inputs.source}: the result is {verdict}: {self._words.reason(result)}; "
+                "with --strict nothing is written"
+            )
+        if not self._as_json and not self._quiet:
+            report.print_summary()
+            if self._verbose:
+                report.print_details()
