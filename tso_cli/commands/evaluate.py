@@ -12,6 +12,7 @@ from ..evaluation.compare import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluat
 from ..evaluation.pairs import find_pairs
 from ..plots.table import text_table
 from . import options
+from .options import choice, flag, option
 
 PATH = options.FilePath()
 HEADINGS = {
@@ -30,72 +31,48 @@ UNIT_SIDE = 0.02
 @click.command("eval", cls=options.Command, headings=HEADINGS)
 @click.argument("prediction", type=PATH)
 @click.argument("target", type=PATH)
-@click.option(
-    "--chamfer", is_flag=True, help="Chamfer distance. The default if no metric is named."
-)
-@click.option("--f-score", is_flag=True, help="F-score at the distance --threshold.")
-@click.option(
+@flag("--chamfer", "Chamfer distance. The default if no metric is named.")
+@flag("--f-score", "F-score at the distance --threshold.")
+@option(
     "--threshold",
-    type=float,
-    help="Distance up to which a point counts as found, for --f-score.  "
+    "Distance up to which a point counts as found, for --f-score.  "
     "[default: 1 % of the target's longest side]",
-)
-@click.option(
-    "--emd",
-    is_flag=True,
-    help="Earth mover's distance. Both clouds need the same number of points.",
-)
-@click.option(
-    "--iou", is_flag=True, help="IoU of the prediction's silhouette and a mask; needs --mask."
-)
-@click.option(
-    "--protocol",
-    type=click.Choice(PROTOCOLS),
-    default="plain",
-    help="plain: clouds as they are. capnet: the paper's normalisation, see above.",
-)
-@click.option(
-    "--points",
-    type=int,
-    metavar="N",
-    help="Keep N points of every cloud, chosen by farthest-point sampling.  "
-    "[default: all; capnet 1024]",
-)
-@click.option(
-    "--samples",
-    type=int,
-    default=16384,
-    help="Points to sample from the surface of a mesh or voxel grid.",
-)
-@click.option(
-    "--vertices",
-    "as_vertices",
-    is_flag=True,
-    help="Compare the vertices of meshes instead of their surfaces.",
-)
-@click.option("--mask", type=PATH, help="Mask of the object, or a folder with NAME.png.")
-@click.option(
-    "--camera",
-    type=PATH,
-    help="Camera file for all masks, or a folder with NAME.camera.json.  "
-    "[default: the camera file next to the mask]",
-)
-@click.option(
-    "--sigma-sq",
     type=float,
-    help="Draw the silhouette as the paper does, with Gaussians of this variance (px^2).",
 )
-@click.option(
+@flag("--emd", "Earth mover's distance. Both clouds need the same number of points.")
+@flag("--iou", "IoU of the prediction's silhouette and a mask; needs --mask.")
+@choice(
+    "--protocol",
+    "plain: clouds as they are. capnet: the paper's normalisation, see above.",
+    *PROTOCOLS,
+)
+@option(
+    "--points",
+    "Keep N points of every cloud, chosen by farthest-point sampling.  [default: all; capnet 1024]",
+    type=int,
+)
+@option("--samples", "Points to sample from the surface of a mesh or voxel grid.", default=16384)
+@flag("--vertices", "Compare the vertices of meshes instead of their surfaces.", "as_vertices")
+@option("--mask", "Mask of the object, or a folder with NAME.png.", type=PATH)
+@option(
+    "--camera",
+    "Camera file for all masks, or a folder with NAME.camera.json.  "
+    "[default: the camera file next to the mask]",
+    type=PATH,
+)
+@option(
+    "--sigma-sq",
+    "Draw the silhouette as the paper does, with Gaussians of this variance (px^2).",
+    type=float,
+)
+@option(
     "--suffix",
+    "In folders: what the predictions' names have after NAME, such as .refined.",
     default="",
     show_default=False,
-    help="In folders: what the predictions' names have after NAME, such as .refined.",
 )
-@click.option(
-    "--fail-above",
-    type=float,
-    metavar="X",
-    help="Exit with code 3 if the mean Chamfer distance x1000 is above X.",
+@option(
+    "--fail-above", "Exit with code 3 if the mean Chamfer distance x1000 is above X.", type=float
 )
 @options.seed
 @options.as_json

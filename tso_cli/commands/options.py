@@ -208,21 +208,37 @@ def print_table(rows: Iterable[tuple[str, str]]) -> None:
         click.echo(f"{name:{width}}  {words}")
 
 
-overwrite = click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-seed = click.option(
-    "--seed",
-    type=Whole(0, 2**63 - 1),
-    default=0,
-    show_default=True,
-    help="Seed of all random numbers.",
+def option(name: str, help: str, *names: str, **settings: Any) -> Callable[..., Any]:
+    """A `click.option` with its help; ``names`` are further names and the parameter's."""
+    return click.option(name, *names, help=help, **settings)
+
+
+def flag(name: str, help: str, *names: str) -> Callable[..., Any]:
+    """An option without a value."""
+    return option(name, help, *names, is_flag=True)
+
+
+def choice(name: str, help: str, *values: str) -> Callable[..., Any]:
+    """An option that takes one of ``values``; the first is the default."""
+    return option(name, help, type=click.Choice(values), default=values[0])
+
+
+def output(help: str, **settings: Any) -> Callable[..., Any]:
+    """The option that names what a command writes."""
+    return click.option("-o", "--output", type=FilePath(), help=help, **settings)
+
+
+overwrite = flag("--overwrite", "Replace outputs that exist.")
+seed = option(
+    "--seed", "Seed of all random numbers.", type=Whole(0, 2**63 - 1), default=0, show_default=True
 )
-as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
-device = click.option(
+as_json = flag("--json", "Print one JSON document on stdout.", "as_json")
+device = option(
     "--device",
+    "cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
     default="cpu",
     show_default=True,
     metavar="DEVICE",
-    help="cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
 )
 
 

@@ -98,9 +98,7 @@ def farthest_point_sample(points: ArrayLike, count: int) -> Indices:
 
 
 def spread_subset(
-    points: ArrayLike,
-    count: int,
-    sample: Callable[[Array, int], Indices] = farthest_point_sample,
+    points: ArrayLike, count: int, sample: Callable[[Array, int], Indices] = farthest_point_sample
 ) -> Indices:
     """Indices of at most ``count`` evenly spread points of ``points`` [N, 3].
 
