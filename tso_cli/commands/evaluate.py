@@ -21,11 +21,6 @@ HEADINGS = {
     "mask": "Input of --iou",
     "suffix": "Input and output",
 }
-# If the centres of a voxel grid and of a shape are farther apart than this, in longest sides of the
-# target, the two are in different frames: shapes of one frame have nearly the same centre.
-FAR_CENTRES = 0.25
-# The longest side of the target is called 1 if it is 1 within this: published shapes are.
-UNIT_SIDE = 0.02
 
 
 @click.command("eval", cls=options.Command, headings=HEADINGS)
@@ -131,8 +126,9 @@ def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
     """Log what may surprise a reader of the numbers.
 
     1. Meshes and voxel grids are compared by samples.
-    2. A voxel grid and a shape seem to be in different frames.
-    3. The target does not have longest side 1.
+    2. A voxel grid and a shape seem to be in different frames, because their centres are more than
+       a quarter of the target's longest side apart.
+    3. The target does not have longest side 1, as published shapes have within 2 %.
     """
     samples = f"{config.samples:,} points of the surface"
     meshes = (
@@ -151,7 +147,7 @@ def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
         record
         for record in records
         if "voxels" in (record["prediction_kind"], record["target_kind"])
-        and record["centre_offset"] > FAR_CENTRES * record["target_longest_side"]
+        and record["centre_offset"] > 0.25 * record["target_longest_side"]
     ]
     if far:
         pairs = f", too far in {len(far)} of {len(records)} pairs" if len(far) > 1 else ""
@@ -161,7 +157,7 @@ def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
             "expected the other shape centred there too (--protocol capnet centres both)"
         )
     sides = [record["target_longest_side"] for record in records]
-    if min(sides) > 0.0 and not all(abs(side - 1.0) < UNIT_SIDE for side in sides):
+    if min(sides) > 0.0 and not all(abs(side - 1.0) < 0.02 for side in sides):
         span = f"{min(sides):.4g}" if len(sides) == 1 else f"{min(sides):.4g} to {max(sides):.4g}"
         options.log(
             f"the longest side of the target is {span}; published figures are for 1 "

@@ -26,13 +26,9 @@ if TYPE_CHECKING:
     from PIL import Image
 
 PIXEL_LIMIT = 100_000_000
-BYTES_PER_PIXEL = 16  # the most memory that a pixel of a mask takes
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
-# An alpha channel is the mask if at least this share of it is transparent. Below that it is a few
-# pixels that an editor left transparent.
-LEAST_TRANSPARENT = 1e-3
 _FILE_LIMIT = 1 << 31
 # Standard error is redirected while a TIFF is decoded: one thread at a time.
 _stderr_lock = threading.Lock()
@@ -133,7 +129,8 @@ def _check_size(width: int, height: int, path: Path) -> None:
             f"{path}: is {width}x{height}, {width * height:,} pixels, "
             f"expected at most {PIXEL_LIMIT:,}"
         )
-    require_memory(path, BYTES_PER_PIXEL * width * height)
+    # A pixel of a mask takes at most 16 bytes.
+    require_memory(path, 16 * width * height)
 
 
 def _load(image: Image.Image) -> None:
@@ -206,8 +203,9 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
     if transparency or image.mode in _WITH_ALPHA:
         with_channel = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
         alpha = np.asarray(with_channel.getchannel("A"))
-        # Nor is a channel the mask that is slightly transparent everywhere.
-        if np.count_nonzero(alpha < 128) >= LEAST_TRANSPARENT * alpha.size:
+        # The alpha channel is no mask if an editor left a few pixels of it transparent, or if it is
+        # slightly transparent everywhere.
+        if np.count_nonzero(alpha < 128) >= 1e-3 * alpha.size:
             return alpha
     if image.mode == "P":
         return _palette_values(image)

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from ..network.model import BaseNetwork
     from ..train.data import TrainingData
 
-# Window of the running mean, as a fraction of the steps.
-MEAN_WINDOW = 0.02
-# Most values that are drawn for one curve.
-MOST_VALUES = 4000
-
 
 @dataclass(frozen=True, eq=False)
 class Sample:
@@ -82,7 +77,8 @@ def lambda_drop(log: TrainingLog) -> int | None:
 def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False) -> None:
     """Draw the loss and its terms over the steps, on a logarithmic scale.
 
-    Raw values are faint, under their running mean. A dotted line marks the drop of lambda. Raises
+    At most 4,000 values are drawn of a curve, faint, under their running mean over 2 % of the
+    steps. A dotted line marks the drop of lambda. Raises
     InputError if ``path`` cannot be written.
     """
     names = dict.fromkeys(name for log in logs for name in log.columns)
@@ -96,9 +92,9 @@ def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False
                 if name not in log.columns:
                     continue
                 values = log.columns[name]
-                stride = max(1, len(values) // MOST_VALUES)
+                stride = max(1, len(values) // 4000)
                 steps = log.columns["step"][::stride]
-                means = running_mean(values, max(1, round(MEAN_WINDOW * len(values))))[::stride]
+                means = running_mean(values, max(1, round(0.02 * len(values))))[::stride]
                 axes[name].plot(steps, values[::stride], color=colour, alpha=0.2, linewidth=0.6)
                 (handles[label],) = axes[name].plot(steps, means, color=colour, linewidth=1.6)
                 if drop is not None:

@@ -11,8 +11,6 @@ from ..geometry.arrays import Array
 from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera, intrinsics
 
 MARGIN_PX = 2.0  # the border around the object in pictures of `fitting_distance`
-# The least distance of a vertex from the camera, in units of the longest side of the mesh.
-LEAST_DEPTH = 0.01
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,9 @@ def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX)
     half -= np.minimum(margin, half / 4.0)
     rotated = vertices @ camera.R.T
     distances = np.abs(rotated[:, :2]) * camera.K[[0, 1], [0, 1]] / half - rotated[:, 2:]
-    # The last term keeps vertices on the optical axis in front of the camera.
-    return float(max(CANONICAL_DISTANCE, distances.max(), LEAST_DEPTH - rotated[:, 2].min()))
+    # The last term keeps vertices on the optical axis in front of the camera, by a hundredth of the
+    # mesh's longest side.
+    return float(max(CANONICAL_DISTANCE, distances.max(), 0.01 - rotated[:, 2].min()))
 
 
 def sample_cameras(

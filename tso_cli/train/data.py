@@ -28,10 +28,6 @@ T = TypeVar("T")
 # Memory for prepared views, 20 KiB each, and targets. Other views are read again when they are
 # needed.
 CACHE_BYTES = 1 << 30
-# Most warnings of unusable pictures, each with its name. The command counts all of them.
-MOST_WARNINGS = 10
-# Number of objects whose first picture enters the fingerprint.
-FINGERPRINTED = 16
 
 
 @dataclass(eq=False)
@@ -83,7 +79,7 @@ class TrainingData:
         self._lock = threading.Lock()
 
     def fingerprint(self) -> str:
-        """A digest of all names and of the first view of some objects.
+        """A digest of all names and of the first view of at most 16 objects.
 
         A resumed run must see the same data.
         """
@@ -91,7 +87,7 @@ class TrainingData:
         digest = hashlib.sha256(f"{self.crop_share}/{self.background}/{backgrounds}".encode())
         for item in self.objects:
             digest.update(f"{item.name}/{len(item.views)}".encode())
-        for index in _spread(range(len(self.objects)), FINGERPRINTED):
+        for index in _spread(range(len(self.objects)), most=16):
             try:
                 first = self.prepared(index, 0)
             except InputError:
@@ -203,7 +199,8 @@ class TrainingData:
                 first_time = name not in self.unusable
                 self.unusable[name] = str(error)
                 self._bad.add(key)
-            if first_time and len(self.unusable) <= MOST_WARNINGS:
+            # The first ten are named in warnings; the command counts all of them.
+            if first_time and len(self.unusable) <= 10:
                 warnings.warn(f"{error}; left out", stacklevel=3)
             return None
 
