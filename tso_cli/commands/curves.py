@@ -8,19 +8,19 @@ import click
 
 from ..errors import InputError
 from . import options
-from .options import option, output
+from .options import PATH, option, output
 
 
 @click.command("curves")
-@click.argument("logs", nargs=-1, required=True, type=options.FilePath())
+@click.argument("logs", nargs=-1, required=True, type=PATH)
 @output("Picture to write (.png).", default="curves.png", show_default=True)
-@option("--checkpoint", "Draw samples of this network too; needs --data.", type=options.FilePath())
-@option("--data", "Data set that the samples are from.", type=options.FilePath())
+@option("--checkpoint", "Draw samples of this network too; needs --data.", type=PATH)
+@option("--data", "Data set that the samples are from.", type=PATH)
 @option(
     "--split",
     'Take the samples from the list "test" of this split (.json).',
     "split_file",
-    type=options.FilePath(),
+    type=PATH,
 )
 @option(
     "--samples",

@@ -12,9 +12,8 @@ from ..evaluation.compare import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluat
 from ..evaluation.pairs import find_pairs
 from ..plots.table import text_table
 from . import options
-from .options import choice, flag, option
+from .options import PATH, choice, flag, option
 
-PATH = options.FilePath()
 HEADINGS = {
     "chamfer": "Metrics",
     "protocol": "Clouds",

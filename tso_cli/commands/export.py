@@ -15,11 +15,11 @@ from ..network.input import network_input
 from ..scene.load import ViewFiles, load_views
 from ..version import __version__
 from . import options
-from .options import output
+from .options import PATH, output
 
 
 @click.command("export")
-@click.argument("checkpoint", type=options.FilePath())
+@click.argument("checkpoint", type=PATH)
 @output("Copy to write (.safetensors).", required=True)
 @options.overwrite
 @options.as_json

@@ -35,6 +35,9 @@ class FilePath(click.Path):
         super().__init__(path_type=Path)
 
 
+PATH = FilePath()
+
+
 class CameraPath(FilePath):
     """A camera file, or ``FIT``. A file with that name, written ./fit, becomes absolute."""
 
@@ -225,7 +228,7 @@ def choice(name: str, help: str, *values: str) -> Callable[..., Any]:
 
 def output(help: str, **settings: Any) -> Callable[..., Any]:
     """The option that names what a command writes."""
-    return click.option("-o", "--output", type=FilePath(), help=help, **settings)
+    return click.option("-o", "--output", type=PATH, help=help, **settings)
 
 
 overwrite = flag("--overwrite", "Replace outputs that exist.")

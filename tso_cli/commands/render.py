@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..render import RenderSettings, render_folder
 from ..version import __version__
 from . import options
-from .options import choice, flag, option, output
+from .options import PATH, choice, flag, option, output
 
 
 class Size(click.ParamType):
@@ -43,8 +43,8 @@ class Size(click.ParamType):
     cls=options.Command,
     headings={"split": "Meshes", "views": "Images", "samples": "Points", "output": "Output"},
 )
-@click.argument("source", metavar="MESH_OR_FOLDER", type=options.FilePath())
-@option("--split", "Render only the meshes that this split (.json) names.", type=options.FilePath())
+@click.argument("source", metavar="MESH_OR_FOLDER", type=PATH)
+@option("--split", "Render only the meshes that this split (.json) names.", type=PATH)
 @choice("--part", "List of the split to render.", "train", "validation", "test")
 @option("--copies", "Randomly warped copies to add of each mesh, for training.", default=0)
 @flag("--paint", "Give the parts of each mesh random colours, for training.")

@@ -11,7 +11,7 @@ import click
 
 from ..errors import InputError
 from . import options
-from .options import choice, flag, option, output
+from .options import PATH, choice, flag, option, output
 
 if TYPE_CHECKING:
     from ..network.model import NetworkConfig
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ..train.data import TrainingData
     from ..train.state import TrainingState
 
-PATH = options.FilePath()
 DEFAULTS = {"steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0}
 # Without DATA: about two minutes on two cores, with a rate that suits 600 steps (both measured).
 EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
@@ -32,15 +31,10 @@ SERVES = {
     "views": ("masks",),
 }
 HEADINGS = {
-    "split_file": "Data",
-    "crop_share": "Input pictures",
-    "supervision": "Supervision",
-    "affinity_weight": "Losses",
-    "points": "Network",
-    "steps": "Optimisation",
-    "output": "Output",
+    "split_file": "Data", "crop_share": "Input pictures", "supervision": "Supervision",
+    "affinity_weight": "Losses", "points": "Network", "steps": "Optimisation", "output": "Output",
     "device": "Running",
-}
+}  # fmt: skip
 # The options that --help shows.
 BRIEF = (
     "split_file", "categories", "augment", "supervision", "initial", "steps", "batch_size",
@@ -267,7 +261,9 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
             }
             sets.append(load(replace(selection, **masked, behind=None, points=False), quiet=quiet))
         data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
-        state = _initial_state(data, config, outputs, chosen["initial"], quiet)
+        state = _initial_state(data, config, outputs, chosen["initial"])
+        if outputs.resume and not quiet:
+            options.log(f"tso: resuming after {state.step} steps")
         prepared, first_step = time.perf_counter(), state.step
         bar, saves = (
             options.ProgressBar("train"),
@@ -327,11 +323,7 @@ def _check_supervision(ctx: click.Context, supervision: str, mask_data: Path | N
 
 
 def _initial_state(
-    data: TrainingData,
-    config: TrainConfig,
-    outputs: TrainOutputs,
-    initial: Path | None,
-    quiet: bool,
+    data: TrainingData, config: TrainConfig, outputs: TrainOutputs, initial: Path | None
 ) -> TrainingState:
     """The state next to the checkpoint to resume from, or a new state."""
     from .. import device as devices
@@ -348,7 +340,4 @@ def _initial_state(
             "expected one of the two"
         )
     about = network_config(data, config, 0)
-    state = load_training(outputs.output, about, data.fingerprint(), devices.resolve(config.device))
-    if not quiet:
-        options.log(f"tso: resuming after {state.step} steps")
-    return state
+    return load_training(outputs.output, about, data.fingerprint(), devices.resolve(config.device))

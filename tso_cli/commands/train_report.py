@@ -14,15 +14,8 @@ from ..train.state import state_path
 from ..version import __version__
 
 FROM_CONFIG = (
-    "supervision",
-    "frame",
-    "points",
-    "sigma_sq",
-    "learning_rate",
-    "batch_size",
-    "device",
-    "seed",
-)
+    "supervision", "frame", "points", "sigma_sq", "learning_rate", "batch_size", "device", "seed",
+)  # fmt: skip
 
 
 def training_document(

@@ -49,6 +49,11 @@ def quantile(values: Array, share: float) -> Array:
     return interpolated
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """At most ``most`` of the indices 0 to ``count`` - 1, evenly from the first to the last."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()
+
+
 def scattered(points: NDArray[Number], most: int) -> NDArray[Number]:
     """At most ``most`` of ``points`` [N, ...], evenly from the whole array and in its order.
 

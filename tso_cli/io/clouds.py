@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Indices
 from ..geometry.points import longest_side
-from .output import atomic_output, check_output
+from .output import check_output, write_file
 from .ply import PlyFile, new_ply
 from .reading import TextTable, read_array, read_bytes, require_memory
 
@@ -146,8 +146,7 @@ def write_cloud(
     else:
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         data = new_ply(points, dtype or (like.precision if like is not None else precise))
-    with atomic_output(path, overwrite) as temporary:
-        temporary.write_bytes(data)
+    write_file(path, data, overwrite)
 
 
 def _from_array(data: bytes, path: Path) -> PointCloud:

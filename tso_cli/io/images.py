@@ -36,7 +36,7 @@ Convert = Callable[["Image.Image", Path], NDArray[Any]]
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 
 
-def read_mask(path: str | Path, invert: bool = False) -> Floats:
+def read_mask(path: str | Path) -> Floats:
     """Read a picture or .npy file as a mask [H, W] in [0, 1]; inside is 1, soft values stay.
 
     The values of a picture are, in this order:
@@ -46,14 +46,13 @@ def read_mask(path: str | Path, invert: bool = False) -> Floats:
     3. its brightness (of a colour the largest channel).
 
     Integers are divided by the largest value of their type. If the largest value in the file is 1,
-    they are labels 0 and 1 instead, with a warning. With ``invert`` dark is inside.
+    they are labels 0 and 1 instead, with a warning.
 
     Raises InputError if the file is not a readable image, has over 100 megapixels, or has values
     outside [0, 1].
     """
     path = Path(path)
-    mask = _to_unit(_read_values(path, "a mask image", "a mask [H, W]", "bfiu", _mask_values), path)
-    return np.float32(1.0) - mask if invert else mask
+    return _to_unit(_read_values(path, "a mask image", "a mask [H, W]", "bfiu", _mask_values), path)
 
 
 def read_depth(path: Path, scale: float = 1.0) -> Array:

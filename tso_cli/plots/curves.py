@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.points import evenly
 from ..io.logs import TrainingLog
 from .style import COLOURS, INK, page
 
@@ -43,8 +44,7 @@ def sample_predictions(
 
     samples = []
     device = next(network.parameters()).device
-    chosen = np.linspace(0, len(data.objects) - 1, min(count, len(data.objects))).round()
-    for index in chosen.astype(int).tolist():
+    for index in evenly(len(data.objects), count):
         has_target = data.readable(index)
         if data.usable(index, 0, has_target)[0] != index:
             continue  # none of its pictures can be read
@@ -122,14 +122,9 @@ def draw_samples(
         axes = figure.subplots(len(samples), 5, squeeze=False)
         for row, sample in zip(axes, samples, strict=True):
             _draw_sample(row, sample)
-        titles = (
-            "input",
-            "prediction, front",
-            "target, front",
-            "prediction, from the right",
-            "target, from the right",
-        )
-        for axis, title in zip(axes[-1], titles, strict=True):
+        sides = ("front", "from the right")
+        clouds = [f"{cloud}, {side}" for side in sides for cloud in ("prediction", "target")]
+        for axis, title in zip(axes[-1], ("input", *clouds), strict=True):
             axis.set_xlabel(title)
         for axis in axes.flat:
             axis.set_xticks([])

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..evaluation.footprint import WindowImages, common_window, in_window
+from ..geometry.points import evenly
 from ..geometry.view import View
 from ..refinement import RefineResult
 
@@ -63,8 +64,8 @@ def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> Non
     if len(views) == 1:
         rows = _before_and_after(result, views[0])
     else:
-        chosen = np.linspace(0, len(views) - 1, min(len(views), 6)).round().astype(int)
-        rows = [_row_of_view(result, views, number) for number in chosen.tolist()]
+        chosen = evenly(len(views), most=6)
+        rows = [_row_of_view(result, views, number) for number in chosen]
         which = f"{len(views)} views"
         if len(chosen) < len(views):
             which = f"{len(chosen)} of {which}, evenly chosen"

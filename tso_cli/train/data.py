@@ -20,6 +20,7 @@ from ..datasets.items import ObjectItem
 from ..errors import InputError
 from ..geometry.arrays import Floats
 from ..geometry.camera import Camera
+from ..geometry.points import evenly
 from ..geometry.view import View
 from ..network.input import NetworkInput, network_input
 from .backgrounds import Backgrounds
@@ -87,7 +88,7 @@ class TrainingData:
         digest = hashlib.sha256(f"{self.crop_share}/{self.background}/{backgrounds}".encode())
         for item in self.objects:
             digest.update(f"{item.name}/{len(item.views)}".encode())
-        for index in _spread(range(len(self.objects)), most=16):
+        for index in evenly(len(self.objects), most=16):
             try:
                 first = self.prepared(index, 0)
             except InputError:
@@ -113,7 +114,7 @@ class TrainingData:
         """
         indices = []
         with_target = [i for i, item in enumerate(self.objects) if item.target is not None]
-        for index in _spread(with_target, most):
+        for index in (with_target[place] for place in evenly(len(with_target), most)):
             try:
                 if self.readable(index) and self.usable(index, 0, points=True)[0] == index:
                     indices.append(index)
@@ -213,12 +214,6 @@ class TrainingData:
 
 def _as_bytes(values: Floats) -> Any:
     return np.rint(values * 255.0).astype(np.uint8)
-
-
-def _spread(indices: Sequence[int], most: int) -> list[int]:
-    """At most ``most`` of ``indices``, evenly from the first to the last."""
-    places = np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int)
-    return [indices[place] for place in np.unique(places)]
 
 
 def _require_perspective(name: str, camera: Camera) -> None:
