@@ -10,23 +10,18 @@ from scipy.spatial import cKDTree
 
 from tests.corruption import assert_refused
 from tso_cli import Camera, TsoError, render
-from tso_cli.geometry.camera import intrinsics
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.meshes import Mesh
 from tso_cli.render import RayScene, RenderSettings, rays, render_view, sample_cameras
 from tso_cli.render.viewpoints import MARGIN_PX
 
-from .conftest import box, joined, stool
+from .conftest import box, joined, look_at, stool
 
 
 def near(mask, pixels):
     """Whether each of ``pixels`` [N, 2] lies within a pixel of the mask."""
     columns, rows = np.rint(pixels).astype(int).T
     return ndimage.binary_dilation(mask > 0, np.ones((3, 3)))[rows, columns]
-
-
-def look_at(azimuth, elevation, distance, size, focal):
-    return replace(render.look_at(azimuth, elevation, distance, size), K=intrinsics(focal, *size))
 
 
 # Cameras

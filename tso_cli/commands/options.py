@@ -9,7 +9,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from importlib import import_module
@@ -189,26 +189,21 @@ def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> No
 def listing(table: Callable[[], Mapping[str, str]]) -> Callable[..., Any]:
     """The callback of an option that takes the word `list`: print ``table()`` and exit with 0.
 
-    The option has to be eager, so that `tso COMMAND --option list` needs no arguments. ``table`` is
-    called only then: it may import.
+    The table is name -> what it means. The option has to be eager, so that `tso COMMAND --option
+    list` needs no arguments. ``table`` is called only then: it may import.
     """
 
     def print_if_asked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
         asked = value == "list" or (isinstance(value, tuple) and "list" in value)
         if asked and not ctx.resilient_parsing:
-            print_table(table().items())
+            rows = table()
+            width = max(map(len, rows), default=0)
+            for name, words in rows.items():
+                click.echo(f"{name:{width}}  {words}")
             ctx.exit()
         return value
 
     return print_if_asked
-
-
-def print_table(rows: Iterable[tuple[str, str]]) -> None:
-    """Print names and what they mean in two columns, a name a line."""
-    rows = list(rows)
-    width = max((len(name) for name, _ in rows), default=0)
-    for name, words in rows:
-        click.echo(f"{name:{width}}  {words}")
 
 
 def option(name: str, help: str, *names: str, **settings: Any) -> Callable[..., Any]:

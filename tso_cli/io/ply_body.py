@@ -215,7 +215,7 @@ def _spliced(
 ) -> bytes:
     """``data[at:]`` with the bytes from ``starts`` to ``ends`` [W] replaced by ``words`` [W]."""
     out = bytearray()
-    # Values at once: it bounds the memory.
+    # About 65,536 values at once, which bounds the memory.
     for part in np.array_split(np.argsort(starts), 1 + len(starts) // (1 << 16)):
         for start, end, word in zip(
             starts[part].tolist(), ends[part].tolist(), words[part].tolist(), strict=True
