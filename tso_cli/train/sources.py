@@ -28,6 +28,7 @@ def from_meshes(
     crop_share: float = 0.9,
     background: str = "black",
     progress: Callable[[int, int, str], None] | None = None,
+    views: int = 32,
 ) -> TrainingData:
     """Meshes rendered in memory; the pictures of a mesh depend only on its place in the list.
 
@@ -35,7 +36,7 @@ def from_meshes(
     pictures show sizes.
     """
     # After the crop the pictures have about the size of the network's input.
-    settings = RenderSettings(views=32, size=(96, 96))
+    settings = RenderSettings(views=views, size=(96, 96))
     objects = []
     for number, path in enumerate(meshes):
         rendered = render_mesh(read_mesh(path), settings, np.random.default_rng([0, number]))
