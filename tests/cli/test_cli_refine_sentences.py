@@ -109,7 +109,8 @@ def test_alternatives_are_one_sentence():
 def test_findings_of_views_are_a_sentence_each():
     findings = [Finding("box", (0,)), Finding("mask-inverted", (1,))]
     assert TWO.suspicion(findings) == (
-        "it looks as if the mask is the bounding box of the object in a.png: try a mask of its outline; "
+        "it looks as if the mask is the bounding box of the object in a.png: try a mask of its "
+        "outline; "
         "it looks as if for b.png alone the mask is inverted: try --assume mask-inverted@b.png"
     )
 
