@@ -63,7 +63,8 @@ def test_mask_and_silhouette_differ_in_colour():
     silhouette, mask, known = (
         np.array([row], bool) for row in ([1, 0, 1, 0, 1], [1, 1, 0, 0, 1], [1, 1, 1, 1, 0])
     )
-    expected = [[overlay.AGREED, overlay.MISSING, overlay.EXTRA, (1.0, 1.0, 1.0), overlay.UNKNOWN]]
+    agreed, missing, extra, unknown = overlay.COLOURS.values()
+    expected = [[agreed, missing, extra, (1.0, 1.0, 1.0), unknown]]
     np.testing.assert_array_equal(compare(WindowImages(silhouette, mask, known)), expected)
 
 
@@ -73,5 +74,5 @@ def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
     panel = _drawn(tmp_path, [photo])[
         overlay.TITLE : overlay.TITLE + PANEL, overlay.GAP : overlay.GAP + PANEL
     ]
-    agreed = (panel == np.rint(255.0 * np.array(overlay.AGREED))).all(2).mean()
+    agreed = (panel == np.rint(255.0 * np.array(overlay.COLOURS["agree"]))).all(2).mean()
     assert 0.25 < agreed < 0.8

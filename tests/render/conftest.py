@@ -1,9 +1,13 @@
 """A folder of meshes, and `tso render` run in this process."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
+from tso_cli import render
+from tso_cli.geometry.camera import intrinsics
 from tso_cli.io.meshes import Mesh, write_mesh
 
 
@@ -28,6 +32,12 @@ def stool():
     """Not convex, not symmetric: a seat, three legs and a post."""
     legs = [box((0.1, 0.6, 0.1), (x, -0.35, z)) for x, z in ((-0.3, -0.2), (0.3, -0.2), (0.1, 0.2))]
     return joined(box((0.8, 0.1, 0.5)), *legs, box((0.1, 0.5, 0.1), (-0.3, 0.3, 0.0)))
+
+
+def look_at(azimuth, elevation, distance, size, focal):
+    """`render.look_at` with another focal length, px."""
+    camera = render.look_at(azimuth, elevation, distance, size)
+    return replace(camera, K=intrinsics(focal, *size))
 
 
 @pytest.fixture

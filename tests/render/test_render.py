@@ -15,7 +15,7 @@ from tso_cli.io.meshes import Mesh
 from tso_cli.render import RayScene, RenderSettings, rays, render_view, sample_cameras
 from tso_cli.render.viewpoints import MARGIN_PX
 
-from .conftest import box, joined, stool
+from .conftest import box, joined, look_at, stool
 
 
 def near(mask, pixels):
@@ -94,7 +94,7 @@ def test_impossible_settings_are_refused(change, words):
 
 @pytest.mark.parametrize("focal", [60.0, 61.7, 61.3])
 def test_the_mask_of_a_cube_from_the_front_is_its_projected_front_face(focal):
-    view = render_view(RayScene(box()), render.look_at(0.0, 0.0, 2.0, (64, 48), focal))
+    view = render_view(RayScene(box()), look_at(0.0, 0.0, 2.0, (64, 48), focal))
     half = focal * 0.5 / 1.5  # the front face, at depth 1.5
     rows, columns = (
         np.clip(half + 0.5 - np.abs(np.arange(n) - (n - 1) / 2), 0.0, 1.0) for n in (48, 64)
@@ -107,7 +107,7 @@ def test_the_area_of_a_sphere_is_that_of_its_outline():
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
-    camera = render.look_at(70.0, 25.0, 2.0, (128, 128), 200.0)
+    camera = look_at(70.0, 25.0, 2.0, (128, 128), 200.0)
     view = render_view(
         RayScene(Mesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int64))), camera
     )
@@ -147,7 +147,7 @@ def test_nearer_parts_hide_those_behind():
         replace(mesh, colours=np.repeat(np.uint8([[255, 0, 0], [0, 0, 255]]), 12, axis=0))
     )
     front, back = (
-        render_view(scene, render.look_at(azimuth, 0.0, 3.0, (33, 33), 40.0)).image
+        render_view(scene, look_at(azimuth, 0.0, 3.0, (33, 33), 40.0)).image
         for azimuth in (0.0, 180.0)
     )
     assert front[16, 16, 0] > 50
@@ -158,7 +158,7 @@ def test_nearer_parts_hide_those_behind():
 
 
 def test_an_object_out_of_sight_has_an_empty_mask_and_one_around_the_camera_a_full_mask():
-    camera, scene = render.look_at(0.0, 0.0, 2.0, (20, 20), 10.0), RayScene(box())
+    camera, scene = look_at(0.0, 0.0, 2.0, (20, 20), 10.0), RayScene(box())
     view = render_view(scene, replace(camera, t=np.array([50.0, 0.0, 2.0])))
     assert not view.mask.any()
     assert (view.image == 255).all()

@@ -20,6 +20,8 @@ from tso_cli.io.textures import Texture
 from tso_cli.render import RayScene, RenderSettings, render_folder, render_view
 from tso_cli.render.variation import paint, warp
 
+from .conftest import look_at
+
 CORNERS = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
 RED, GREEN, BLUE = (200, 0, 0), (0, 200, 0), (0, 0, 200)
 CHECKS = np.random.default_rng(0).integers(0, 256, (6, 4, 3), dtype=np.uint8)
@@ -63,7 +65,7 @@ def edited(path, change):
 
 def unlit(mesh, size=60):
     """The front of a mesh whose texture fills it: colours without the light, [size, size, 3]."""
-    camera = render.look_at(0.0, 0.0, 2.0, (size, size), 1.6 * size)
+    camera = look_at(0.0, 0.0, 2.0, (size, size), 1.6 * size)
     white = Mesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), 255, np.uint8))
     image, light = (
         render_view(RayScene(each), camera).image.astype(float) for each in (mesh, white)
@@ -148,7 +150,7 @@ def test_each_part_of_a_scene_has_its_texture_wherever_it_stands(tmp_path):
     scene.add_geometry(plain, transform=moved(1))
     scene.graph.update(frame_to="again", matrix=moved(3, -1.0), geometry="red")
     scene.export(tmp_path / "a.glb")
-    camera = render.look_at(0.0, 0.0, 8.0, (80, 40), 80.0)
+    camera = look_at(0.0, 0.0, 8.0, (80, 40), 80.0)
     image = render_view(RayScene(read_mesh(tmp_path / "a.glb")), camera).image
     pixels, _ = camera.project(np.array([[-3.0, 0.1, 0], [-1, 0.1, 0], [1, 0.1, 0], [3, 0.1, 0]]))
     for (u, v), expected in zip(np.rint(pixels).astype(int), (RED, GREEN, BLUE, RED), strict=True):

@@ -30,7 +30,7 @@ def batch_of(*cameras: Camera) -> CameraBatch:
 def test_pixels_and_valid_points_are_those_of_numpy():
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (50, 3)) * [1.0, 1.0, 9.0]
     projected = project(torch.tensor(points)[None], batch_of(camera_of()))
-    expected = projection.project(points, camera_of())
+    expected = projection.project_differentiably(points, camera_of())
     np.testing.assert_allclose(projected.points_px[0, 0].numpy(), expected.points_px, atol=1e-9)
     np.testing.assert_array_equal(projected.valid[0, 0].numpy(), expected.valid)
     assert not expected.valid.all()

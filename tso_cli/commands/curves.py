@@ -8,37 +8,27 @@ import click
 
 from ..errors import InputError
 from . import options
+from .options import PATH, option, output
 
 
 @click.command("curves")
-@click.argument("logs", nargs=-1, required=True, type=options.FilePath())
-@click.option(
-    "-o",
-    "--output",
-    type=options.FilePath(),
-    default="curves.png",
-    show_default=True,
-    help="Picture to write (.png).",
-)
-@click.option(
-    "--checkpoint",
-    type=options.FilePath(),
-    help="Draw samples of this network too; needs --data.",
-)
-@click.option("--data", type=options.FilePath(), help="Data set that the samples are from.")
-@click.option(
+@click.argument("logs", nargs=-1, required=True, type=PATH)
+@output("Picture to write (.png).", default="curves.png", show_default=True)
+@option("--checkpoint", "Draw samples of this network too; needs --data.", type=PATH)
+@option("--data", "Data set that the samples are from.", type=PATH)
+@option(
     "--split",
+    'Take the samples from the list "test" of this split (.json).',
     "split_file",
-    type=options.FilePath(),
-    help='Take the samples from the list "test" of this split (.json).',
+    type=PATH,
 )
-@click.option(
+@option(
     "--samples",
+    "Number of samples, 1 to 50.",
     "count",
     type=options.Whole(1, 50),
     default=6,
     show_default=True,
-    help="Number of samples, 1 to 50.",
 )
 @options.overwrite
 def command(

@@ -12,90 +12,61 @@ from ..evaluation.compare import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluat
 from ..evaluation.pairs import find_pairs
 from ..plots.table import text_table
 from . import options
+from .options import PATH, choice, flag, option
 
-PATH = options.FilePath()
 HEADINGS = {
     "chamfer": "Metrics",
     "protocol": "Clouds",
     "mask": "Input of --iou",
     "suffix": "Input and output",
 }
-# If the centres of a voxel grid and of a shape are farther apart than this, in longest sides of the
-# target, the two are in different frames: shapes of one frame have nearly the same centre.
-FAR_CENTRES = 0.25
-# The longest side of the target is called 1 if it is 1 within this: published shapes are.
-UNIT_SIDE = 0.02
 
 
 @click.command("eval", cls=options.Command, headings=HEADINGS)
 @click.argument("prediction", type=PATH)
 @click.argument("target", type=PATH)
-@click.option(
-    "--chamfer", is_flag=True, help="Chamfer distance. The default if no metric is named."
-)
-@click.option("--f-score", is_flag=True, help="F-score at the distance --threshold.")
-@click.option(
+@flag("--chamfer", "Chamfer distance. The default if no metric is named.")
+@flag("--f-score", "F-score at the distance --threshold.")
+@option(
     "--threshold",
-    type=float,
-    help="Distance up to which a point counts as found, for --f-score.  "
+    "Distance up to which a point counts as found, for --f-score.  "
     "[default: 1 % of the target's longest side]",
-)
-@click.option(
-    "--emd",
-    is_flag=True,
-    help="Earth mover's distance. Both clouds need the same number of points.",
-)
-@click.option(
-    "--iou", is_flag=True, help="IoU of the prediction's silhouette and a mask; needs --mask."
-)
-@click.option(
-    "--protocol",
-    type=click.Choice(PROTOCOLS),
-    default="plain",
-    help="plain: clouds as they are. capnet: the paper's normalisation, see above.",
-)
-@click.option(
-    "--points",
-    type=int,
-    metavar="N",
-    help="Keep N points of every cloud, chosen by farthest-point sampling.  "
-    "[default: all; capnet 1024]",
-)
-@click.option(
-    "--samples",
-    type=int,
-    default=16384,
-    help="Points to sample from the surface of a mesh or voxel grid.",
-)
-@click.option(
-    "--vertices",
-    "as_vertices",
-    is_flag=True,
-    help="Compare the vertices of meshes instead of their surfaces.",
-)
-@click.option("--mask", type=PATH, help="Mask of the object, or a folder with NAME.png.")
-@click.option(
-    "--camera",
-    type=PATH,
-    help="Camera file for all masks, or a folder with NAME.camera.json.  "
-    "[default: the camera file next to the mask]",
-)
-@click.option(
-    "--sigma-sq",
     type=float,
-    help="Draw the silhouette as the paper does, with Gaussians of this variance (px^2).",
 )
-@click.option(
+@flag("--emd", "Earth mover's distance. Both clouds need the same number of points.")
+@flag("--iou", "IoU of the prediction's silhouette and a mask; needs --mask.")
+@choice(
+    "--protocol",
+    "plain: clouds as they are. capnet: the paper's normalisation, see above.",
+    *PROTOCOLS,
+)
+@option(
+    "--points",
+    "Keep N points of every cloud, chosen by farthest-point sampling.  [default: all; capnet 1024]",
+    type=int,
+)
+@option("--samples", "Points to sample from the surface of a mesh or voxel grid.", default=16384)
+@flag("--vertices", "Compare the vertices of meshes instead of their surfaces.", "as_vertices")
+@option("--mask", "Mask of the object, or a folder with NAME.png.", type=PATH)
+@option(
+    "--camera",
+    "Camera file for all masks, or a folder with NAME.camera.json.  "
+    "[default: the camera file next to the mask]",
+    type=PATH,
+)
+@option(
+    "--sigma-sq",
+    "Draw the silhouette as the paper does, with Gaussians of this variance (px^2).",
+    type=float,
+)
+@option(
     "--suffix",
+    "In folders: what the predictions' names have after NAME, such as .refined.",
     default="",
     show_default=False,
-    help="In folders: what the predictions' names have after NAME, such as .refined.",
 )
-@click.option(
-    "--fail-above",
-    type=float,
-    metavar="X",
-    help="Exit with code 3 if the mean Chamfer distance x1000 is above X.",
+@option(
+    "--fail-above", "Exit with code 3 if the mean Chamfer distance x1000 is above X.", type=float
 )
 @options.seed
 @options.as_json
@@ -154,8 +125,9 @@ def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
     """Log what may surprise a reader of the numbers.
 
     1. Meshes and voxel grids are compared by samples.
-    2. A voxel grid and a shape seem to be in different frames.
-    3. The target does not have longest side 1.
+    2. A voxel grid and a shape seem to be in different frames, because their centres are more than
+       a quarter of the target's longest side apart.
+    3. The target does not have longest side 1, as published shapes have within 2 %.
     """
     samples = f"{config.samples:,} points of the surface"
     meshes = (
@@ -174,7 +146,7 @@ def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
         record
         for record in records
         if "voxels" in (record["prediction_kind"], record["target_kind"])
-        and record["centre_offset"] > FAR_CENTRES * record["target_longest_side"]
+        and record["centre_offset"] > 0.25 * record["target_longest_side"]
     ]
     if far:
         pairs = f", too far in {len(far)} of {len(records)} pairs" if len(far) > 1 else ""
@@ -184,7 +156,7 @@ def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:
             "expected the other shape centred there too (--protocol capnet centres both)"
         )
     sides = [record["target_longest_side"] for record in records]
-    if min(sides) > 0.0 and not all(abs(side - 1.0) < UNIT_SIDE for side in sides):
+    if min(sides) > 0.0 and not all(abs(side - 1.0) < 0.02 for side in sides):
         span = f"{min(sides):.4g}" if len(sides) == 1 else f"{min(sides):.4g} to {max(sides):.4g}"
         options.log(
             f"the longest side of the target is {span}; published figures are for 1 "

@@ -15,17 +15,12 @@ from ..network.input import network_input
 from ..scene.load import ViewFiles, load_views
 from ..version import __version__
 from . import options
+from .options import PATH, output
 
 
 @click.command("export")
-@click.argument("checkpoint", type=options.FilePath())
-@click.option(
-    "-o",
-    "--output",
-    type=options.FilePath(),
-    required=True,
-    help="Copy to write (.safetensors).",
-)
+@click.argument("checkpoint", type=PATH)
+@output("Copy to write (.safetensors).", required=True)
 @options.overwrite
 @options.as_json
 def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> None:

@@ -9,7 +9,7 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from importlib import import_module
@@ -33,6 +33,9 @@ class FilePath(click.Path):
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
+
+
+PATH = FilePath()
 
 
 class CameraPath(FilePath):
@@ -186,43 +189,54 @@ def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> No
 def listing(table: Callable[[], Mapping[str, str]]) -> Callable[..., Any]:
     """The callback of an option that takes the word `list`: print ``table()`` and exit with 0.
 
-    The option has to be eager, so that `tso COMMAND --option list` needs no arguments. ``table`` is
-    called only then: it may import.
+    The table is name -> what it means. The option has to be eager, so that `tso COMMAND --option
+    list` needs no arguments. ``table`` is called only then: it may import.
     """
 
     def print_if_asked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
         asked = value == "list" or (isinstance(value, tuple) and "list" in value)
         if asked and not ctx.resilient_parsing:
-            print_table(table().items())
+            rows = table()
+            width = max(map(len, rows), default=0)
+            for name, words in rows.items():
+                click.echo(f"{name:{width}}  {words}")
             ctx.exit()
         return value
 
     return print_if_asked
 
 
-def print_table(rows: Iterable[tuple[str, str]]) -> None:
-    """Print names and what they mean in two columns, a name a line."""
-    rows = list(rows)
-    width = max((len(name) for name, _ in rows), default=0)
-    for name, words in rows:
-        click.echo(f"{name:{width}}  {words}")
+def option(name: str, help: str, *names: str, **settings: Any) -> Callable[..., Any]:
+    """A `click.option` with its help; ``names`` are further names and the parameter's."""
+    return click.option(name, *names, help=help, **settings)
 
 
-overwrite = click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
-seed = click.option(
-    "--seed",
-    type=Whole(0, 2**63 - 1),
-    default=0,
-    show_default=True,
-    help="Seed of all random numbers.",
+def flag(name: str, help: str, *names: str) -> Callable[..., Any]:
+    """An option without a value."""
+    return option(name, help, *names, is_flag=True)
+
+
+def choice(name: str, help: str, *values: str) -> Callable[..., Any]:
+    """An option that takes one of ``values``; the first is the default."""
+    return option(name, help, type=click.Choice(values), default=values[0])
+
+
+def output(help: str, **settings: Any) -> Callable[..., Any]:
+    """The option that names what a command writes."""
+    return click.option("-o", "--output", type=PATH, help=help, **settings)
+
+
+overwrite = flag("--overwrite", "Replace outputs that exist.")
+seed = option(
+    "--seed", "Seed of all random numbers.", type=Whole(0, 2**63 - 1), default=0, show_default=True
 )
-as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
-device = click.option(
+as_json = flag("--json", "Print one JSON document on stdout.", "as_json")
+device = option(
     "--device",
+    "cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
     default="cpu",
     show_default=True,
     metavar="DEVICE",
-    help="cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
 )
 
 

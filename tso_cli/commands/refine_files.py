@@ -63,10 +63,7 @@ class RefineInputs:
 
     def _check_mode(self) -> None:
         if self.mode != "points":
-            for name, count in (
-                ("MASK", len(self.masks)),
-                ("--ignore", max(1, len(self.ignore))),
-            ):
+            for name, count in (("MASK", len(self.masks)), ("--ignore", max(1, len(self.ignore)))):
                 if count != 1:
                     raise InputError(
                         f"--mode {self.mode} predicts a cloud from one photo, {name} was given "

@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..render import RenderSettings, render_folder
 from ..version import __version__
 from . import options
+from .options import PATH, choice, flag, option, output
 
 
 class Size(click.ParamType):
@@ -42,61 +43,32 @@ class Size(click.ParamType):
     cls=options.Command,
     headings={"split": "Meshes", "views": "Images", "samples": "Points", "output": "Output"},
 )
-@click.argument("source", metavar="MESH_OR_FOLDER", type=options.FilePath())
-@click.option(
-    "--split", type=options.FilePath(), help="Render only the meshes that this split (.json) names."
-)
-@click.option(
-    "--part",
-    type=click.Choice(["train", "validation", "test"]),
-    default="train",
-    help="List of the split to render.",
-)
-@click.option(
-    "--copies",
-    type=int,
-    default=0,
-    help="Randomly warped copies to add of each mesh, for training.",
-)
-@click.option(
-    "--paint", is_flag=True, help="Give the parts of each mesh random colours, for training."
-)
-@click.option("--views", type=int, default=24, help="Images of each mesh.")
-@click.option(
-    "--size", type=Size(), default="64", help="Size of the images: a side, or WIDTHxHEIGHT."
-)
-@click.option(
+@click.argument("source", metavar="MESH_OR_FOLDER", type=PATH)
+@option("--split", "Render only the meshes that this split (.json) names.", type=PATH)
+@choice("--part", "List of the split to render.", "train", "validation", "test")
+@option("--copies", "Randomly warped copies to add of each mesh, for training.", default=0)
+@flag("--paint", "Give the parts of each mesh random colours, for training.")
+@option("--views", "Images of each mesh.", default=24)
+@option("--size", "Size of the images: a side, or WIDTHxHEIGHT.", type=Size(), default="64")
+@option(
     "--elevation",
+    "Range of the camera's elevation, degrees.",
     type=float,
     nargs=2,
     metavar="FROM TO",
     default=(-5, 40),
-    help="Range of the camera's elevation, degrees.",
 )
-@click.option(
+@option(
     "--azimuth",
+    "Range of the camera's azimuth, degrees. At 0 the camera looks from +z.",
     type=float,
     nargs=2,
     metavar="FROM TO",
     default=(0, 360),
-    help="Range of the camera's azimuth, degrees. At 0 the camera looks from +z.",
 )
-@click.option(
-    "--samples", type=int, default=16384, help="Points to sample from the surface of each mesh."
-)
-@click.option(
-    "--points",
-    type=int,
-    default=1024,
-    help="Points to keep of these samples as ground truth, evenly spread.",
-)
-@click.option(
-    "-o",
-    "--output",
-    type=options.FilePath(),
-    required=True,
-    help="Folder to write to, a subfolder for each mesh.",
-)
+@option("--samples", "Points to sample from the surface of each mesh.", default=16384)
+@option("--points", "Points to keep of these samples as ground truth, evenly spread.", default=1024)
+@output("Folder to write to, a subfolder for each mesh.", required=True)
 @options.overwrite
 @options.seed
 @options.as_json

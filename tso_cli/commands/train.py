@@ -11,6 +11,7 @@ import click
 
 from ..errors import InputError
 from . import options
+from .options import PATH, choice, flag, option, output
 
 if TYPE_CHECKING:
     from ..network.model import NetworkConfig
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from ..train.data import TrainingData
     from ..train.state import TrainingState
 
-PATH = options.FilePath()
 DEFAULTS = {"steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0}
 # Without DATA: about two minutes on two cores, with a rate that suits 600 steps (both measured).
 EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
@@ -31,33 +31,15 @@ SERVES = {
     "views": ("masks",),
 }
 HEADINGS = {
-    "split_file": "Data",
-    "crop_share": "Input pictures",
-    "supervision": "Supervision",
-    "affinity_weight": "Losses",
-    "points": "Network",
-    "steps": "Optimisation",
-    "output": "Output",
+    "split_file": "Data", "crop_share": "Input pictures", "supervision": "Supervision",
+    "affinity_weight": "Losses", "points": "Network", "steps": "Optimisation", "output": "Output",
     "device": "Running",
-}
-
-
+}  # fmt: skip
 # The options that --help shows.
 BRIEF = (
-    "split_file",
-    "categories",
-    "augment",
-    "supervision",
-    "initial",
-    "steps",
-    "batch_size",
-    "output",
-    "overwrite",
-    "resume",
-    "log_file",
-    "as_json",
-    "device",
-)
+    "split_file", "categories", "augment", "supervision", "initial", "steps", "batch_size",
+    "output", "overwrite", "resume", "log_file", "as_json", "device",
+)  # fmt: skip
 
 
 def _default(name: str) -> str:
@@ -123,157 +105,118 @@ class TrainOutputs:
 
 @click.command("train", cls=options.Command, headings=HEADINGS, brief=BRIEF)
 @click.argument("data", required=False, type=PATH)
-@click.option(
+@option(
     "--split",
+    'Train only on the objects in the list "train" of this split (.json).',
     "split_file",
     type=PATH,
-    help='Train only on the objects in the list "train" of this split (.json).',
 )
-@click.option(
+@option(
     "--category",
+    "Train only on this category. May be repeated.",
     "categories",
     multiple=True,
     metavar="NAME",
-    help="Train only on this category. May be repeated.",
 )
-@click.option(
-    "--strict", is_flag=True, help="Stop at the first unusable file instead of skipping it."
-)
-@click.option(
-    "--balance",
-    is_flag=True,
-    help="Draw every category equally often, however many objects it has.",
-)
-@click.option(
+@flag("--strict", "Stop at the first unusable file instead of skipping it.")
+@flag("--balance", "Draw every category equally often, however many objects it has.")
+@option(
     "--crop-share",
-    type=float,
-    default=0.9,
-    help="Crop each picture so that the object's longer side takes this share of it, and scale "
+    "Crop each picture so that the object's longer side takes this share of it, and scale "
     "clouds to longest side 1. 0: objects and clouds keep their sizes.",
+    default=0.9,
 )
-@click.option(
-    "--background",
-    type=click.Choice(["black", "white", "keep"]),
-    default="black",
-    help="Background of the pictures.",
-)
-@click.option(
+@choice("--background", "Background of the pictures.", "black", "white", "keep")
+@option(
     "--backgrounds",
+    "Put the objects on crops of the photos in FOLDER, or on generated textures; needs "
+    "--background keep.",
     "behind",
     metavar="FOLDER|textures",
-    help="Put the objects on crops of the photos in FOLDER, or on generated textures; needs "
-    "--background keep.",
 )
-@click.option("--augment", is_flag=True, help="Mirror and recolour the pictures at random.")
-@click.option(
+@flag("--augment", "Mirror and recolour the pictures at random.")
+@choice(
     "--supervision",
-    type=click.Choice(["points", "masks", "joint"]),
-    default="points",
-    help="What the loss compares with: the true points, masks, or both (needs --mask-data).",
+    "What the loss compares with: the true points, masks, or both (needs --mask-data).",
+    "points",
+    "masks",
+    "joint",
 )
-@click.option(
-    "--views",
-    type=int,
-    default=4,
-    help="Masks to compare each object with in a step, for --supervision masks.",
+@option(
+    "--views", "Masks to compare each object with in a step, for --supervision masks.", default=4
 )
-@click.option(
-    "--mask-data",
-    type=PATH,
-    help="Data set of images with one mask each, for --supervision joint.",
+@option("--mask-data", "Data set of images with one mask each, for --supervision joint.", type=PATH)
+@option(
+    "--mask-split", 'Take from --mask-data only the list "train" of this split (.json).', type=PATH
 )
-@click.option(
-    "--mask-split",
-    type=PATH,
-    help='Take from --mask-data only the list "train" of this split (.json).',
-)
-@click.option(
+@option(
     "--lambda",
+    "Weight of the affinity loss. Once the loss saturates, the weight drops to 2 % of this.",
     "affinity_weight",
-    type=float,
     default=1.0,
-    help="Weight of the affinity loss. Once the loss saturates, the weight drops to 2 % of this.",
 )
-@click.option(
+@choice(
     "--affinity",
-    type=click.Choice(["points", "paper"]),
-    default="points",
-    help="Form of the affinity loss: between points and mask, or the paper's, between pairs of "
-    "pixels.",
+    "Form of the affinity loss: between points and mask, or the paper's, between pairs of pixels.",
+    "points",
+    "paper",
 )
-@click.option(
+@option(
     "--saturation-steps",
-    type=int,
-    help="The loss is saturated if its mean over this number of steps is less than 1 % below the "
+    "The loss is saturated if its mean over this number of steps is less than 1 % below the "
     "mean over as many steps before.  [default: a sixth of --steps, 10 to 500]",
+    type=int,
 )
-@click.option(
-    "--sigma-sq",
-    type=float,
-    default=0.4,
-    help="Variance of the projector's Gaussian, px^2 of a 64x64 mask.",
-)
-@click.option(
+@option("--sigma-sq", "Variance of the projector's Gaussian, px^2 of a 64x64 mask.", default=0.4)
+@option(
     "--category-sigma-sq",
+    "Another --sigma-sq for one category. May be repeated.",
     multiple=True,
     type=CategoryValue(),
-    help="Another --sigma-sq for one category. May be repeated.",
 )
-@click.option("--points", type=int, default=1024, help="Points of the predicted cloud.")
-@click.option(
+@option("--points", "Points of the predicted cloud.", default=1024)
+@choice(
     "--frame",
-    type=click.Choice(["view", "canonical"]),
-    default="view",
-    help="Axes of the predicted cloud: the camera's (view) or the object's (canonical).",
+    "Axes of the predicted cloud: the camera's (view) or the object's (canonical).",
+    "view",
+    "canonical",
 )
-@click.option(
+@option(
     "--init",
+    "Start from the weights of this checkpoint, or of the shipped one (`default`).  "
+    "[default: random weights]",
     "initial",
     type=PATH,
-    help="Start from the weights of this checkpoint, or of the shipped one (`default`).  "
-    "[default: random weights]",
 )
-@click.option("--steps", type=int, help=f"Optimiser steps in all.  {_default('steps')}")
-@click.option("--batch-size", type=int, default=16, help="Objects in a step.")
-@click.option(
-    "--learning-rate",
-    type=float,
-    help=f"Learning rate of Adam.  {_default('learning_rate')}",
-)
-@click.option(
+@option("--steps", f"Optimiser steps in all.  {_default('steps')}", type=int)
+@option("--batch-size", "Objects in a step.", default=16)
+@option("--learning-rate", f"Learning rate of Adam.  {_default('learning_rate')}", type=float)
+@option(
     "--averaging",
-    type=float,
-    help="Save the moving average of the weights with this decay. 0: save the last weights.  "
+    "Save the moving average of the weights with this decay. 0: save the last weights.  "
     f"{_default('averaging')}",
+    type=float,
 )
-@click.option(
+@choice(
     "--precision",
-    type=click.Choice(["float32", "bfloat16"]),
-    default="float32",
-    help="Number format of the network's layers; bfloat16 is mixed precision.",
+    "Number format of the network's layers; bfloat16 is mixed precision.",
+    "float32",
+    "bfloat16",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    default=Path("base.safetensors"),
-    help="Checkpoint to write (.safetensors).",
-)
+@output("Checkpoint to write (.safetensors).", default=Path("base.safetensors"))
 @options.overwrite
-@click.option(
+@option(
     "--checkpoint-every",
+    "Save after every N steps; 0: only at the end.",
     type=options.Whole(0),
     default=500,
-    help="Save after every N steps; 0: only at the end.",
 )
-@click.option("--resume", is_flag=True, help="Continue the training that --output belongs to.")
-@click.option(
-    "--log-file", type=PATH, help="File for the settings and the losses of every step (.jsonl)."
-)
+@flag("--resume", "Continue the training that --output belongs to.")
+@option("--log-file", "File for the settings and the losses of every step (.jsonl).", type=PATH)
 @options.as_json
 @options.device
 @options.seed
-@click.option("--workers", type=int, default=1, help="Threads that prepare batches ahead.")
+@option("--workers", "Threads that prepare batches ahead.", default=1)
 @click.pass_context
 def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     """Train the network that predicts a cloud from a photo, for the network modes of `tso refine`.
@@ -318,7 +261,9 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
             }
             sets.append(load(replace(selection, **masked, behind=None, points=False), quiet=quiet))
         data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
-        state = _initial_state(data, config, outputs, chosen["initial"], quiet)
+        state = _initial_state(data, config, outputs, chosen["initial"])
+        if outputs.resume and not quiet:
+            options.log(f"tso: resuming after {state.step} steps")
         prepared, first_step = time.perf_counter(), state.step
         bar, saves = (
             options.ProgressBar("train"),
@@ -367,22 +312,18 @@ def _check_supervision(ctx: click.Context, supervision: str, mask_data: Path | N
     if (supervision == "joint") != (mask_data is not None):
         expected = "--mask-data FOLDER with it" if mask_data is None else "joint with --mask-data"
         raise InputError(f"--supervision is {supervision}, expected {expected}")
-    for option in ctx.command.params:
-        name = option.name or ""
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
         used = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
         if used and supervision not in SERVES.get(name, (supervision,)):
             raise InputError(
-                f"{option.opts[0]} is for --supervision {' or '.join(SERVES[name])}, "
+                f"{parameter.opts[0]} is for --supervision {' or '.join(SERVES[name])}, "
                 f"found {supervision}"
             )
 
 
 def _initial_state(
-    data: TrainingData,
-    config: TrainConfig,
-    outputs: TrainOutputs,
-    initial: Path | None,
-    quiet: bool,
+    data: TrainingData, config: TrainConfig, outputs: TrainOutputs, initial: Path | None
 ) -> TrainingState:
     """The state next to the checkpoint to resume from, or a new state."""
     from .. import device as devices
@@ -399,7 +340,4 @@ def _initial_state(
             "expected one of the two"
         )
     about = network_config(data, config, 0)
-    state = load_training(outputs.output, about, data.fingerprint(), devices.resolve(config.device))
-    if not quiet:
-        options.log(f"tso: resuming after {state.step} steps")
-    return state
+    return load_training(outputs.output, about, data.fingerprint(), devices.resolve(config.device))

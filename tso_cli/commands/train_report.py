@@ -14,15 +14,8 @@ from ..train.state import state_path
 from ..version import __version__
 
 FROM_CONFIG = (
-    "supervision",
-    "frame",
-    "points",
-    "sigma_sq",
-    "learning_rate",
-    "batch_size",
-    "device",
-    "seed",
-)
+    "supervision", "frame", "points", "sigma_sq", "learning_rate", "batch_size", "device", "seed",
+)  # fmt: skip
 
 
 def training_document(
@@ -58,10 +51,8 @@ def training_document(
     # A data set for supervision by masks may have no 3D file at all.
     if (chamfer := measure(training))["shapes"]:
         document["chamfer_training"] = chamfer
-    document["objects"], document["not_judged"] = (
-        len(training.objects),
-        dict(training.not_evaluated),
-    )
+    document["objects"] = len(training.objects)
+    document["not_judged"] = dict(training.not_evaluated)
     if on_examples:
         document["chamfer_unseen_examples"] = measure(
             shipped_examples(training.crop_share, training.background)

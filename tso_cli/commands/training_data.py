@@ -15,9 +15,6 @@ from ..train.data import TrainingData
 from ..train.sources import from_meshes
 from .options import ProgressBar, log
 
-# At most this number of skipped items is named on stderr.
-NAMED = 10
-
 
 @dataclass(frozen=True)
 class DataSelection:
@@ -50,7 +47,7 @@ class DataSelection:
 
 
 def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
-    """Open the data set, or render the shipped meshes; skipped items are named on stderr."""
+    """Open the data set, or render the shipped meshes; ten skipped items are named on stderr."""
     if selection.data is None:
         if selection.split_file is not None or selection.categories or selection.behind is not None:
             raise InputError(
@@ -66,7 +63,7 @@ def load(selection: DataSelection, quiet: bool = False) -> TrainingData:
         )
     dataset = _select(selection, selection.data)
     if dataset.skipped and not quiet:
-        for item, reason in list(dataset.skipped.items())[:NAMED]:
+        for item, reason in list(dataset.skipped.items())[:10]:
             log(f"tso: {reason if item in reason else f'{item}: {reason}'}; left out")
         log(
             f"tso: {len(dataset.skipped)} items left out in all "

@@ -37,7 +37,6 @@ from . import common
 from .items import Dataset, ObjectItem, ViewItem
 
 TABLE = "pix3d.json"
-SENSOR_MM = 32.0
 PARTLY_SEEN = ("truncated", "occluded", "slightly_occluded")
 _IMAGE_AXES = np.diag([-1.0, -1.0, 1.0])
 
@@ -101,7 +100,7 @@ def _entry(values: Any, where: str) -> _Entry:
         _text(values, key, where) for key in ("img", "mask", "model", "category")
     )
     width, height = (int(side) for side in _numbers(values, "img_size", (2,), where, whole=True))
-    focal = float(_numbers(values, "focal_length", (), where)) / SENSOR_MM * width
+    focal = float(_numbers(values, "focal_length", (), where)) / 32.0 * width
     K = intrinsics(focal, width, height)
     R = _IMAGE_AXES @ _numbers(values, "rot_mat", (3, 3), where)
     t = _IMAGE_AXES @ _numbers(values, "trans_mat", (3,), where)

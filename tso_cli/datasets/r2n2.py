@@ -42,8 +42,6 @@ from .items import Dataset, ViewItem
 RENDERED, VOXELS = "ShapeNetRendering", "ShapeNetVox32"
 PICTURES = "rendering"
 TABLE, LIST = "rendering_metadata.txt", "renderings.txt"
-DISTANCE_AT_RATIO_1 = 1.75
-LENS_MM, SENSOR_MM = 35.0, 32.0
 _PICTURE = re.compile(r"([0-9]{2,9})\.png")
 
 
@@ -72,9 +70,9 @@ def r2n2_camera(
     forward = -np.array([np.cos(el) * np.cos(az), np.sin(el), np.cos(el) * np.sin(az)])
     rolled_right = np.cos(roll) * right + np.sin(roll) * down
     rolled_down = np.cos(roll) * down - np.sin(roll) * right
-    K = intrinsics(LENS_MM / SENSOR_MM * max(size), *size)
+    K = intrinsics(35.0 / 32.0 * max(size), *size)
     R = np.array([rolled_right, rolled_down, forward])
-    return Camera(K, R, np.array([0.0, 0.0, DISTANCE_AT_RATIO_1 * ratio]), *size)
+    return Camera(K, R, np.array([0.0, 0.0, 1.75 * ratio]), *size)
 
 
 def voxel_target(path: str) -> Floats:

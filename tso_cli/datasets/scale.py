@@ -23,9 +23,6 @@ from .items import Dataset, ObjectItem, ViewItem
 
 AS_READ = "units of the data set"
 DIAGONAL = "unit diagonal"
-# An object without a 3D file gets the median size and centre of at most this many objects of its
-# category: each of them has to be read.
-OBJECTS_FOR_MEDIAN = 32
 
 
 def normalised(dataset: Dataset) -> Dataset:
@@ -104,7 +101,8 @@ class _Boxes:
                     item for items in self._members.values() for item in items
                 ]
                 boxes = []
-                for item in members[:: max(1, -(-len(members) // OBJECTS_FOR_MEDIAN))]:
+                # The median of at most 32 objects: each of them has to be read.
+                for item in members[:: max(1, -(-len(members) // 32))]:
                     assert item.target is not None
                     with suppress(InputError):
                         boxes.append(self._measured(item, item.target()))

@@ -41,7 +41,6 @@ from .items import Dataset, ViewItem
 
 RENDERED = "ShapeNet_rendered"
 SPLITS = "splits"
-BACKGROUND = 254  # least value of depth_K.png outside the object
 _PICTURE = re.compile(r"render_(0|[1-9][0-9]{0,8})\.png")
 # (a, b, c) of the cloud -> p; X -> OpenCV axes.
 _CLOUD_AXES = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
@@ -119,7 +118,7 @@ def _load(picture: Path, depth: Path, camera: Camera) -> tuple[Pixels, Floats]:
     for path, pixels in ((picture, image), (depth, far)):
         common.require_size(path, pixels, camera, "as the first picture of its category")
     # The authors' code uses the blue channel. `read_image` gives 16-bit depth in 255ths too.
-    return image, (far[..., 2] < BACKGROUND).astype(np.float32)
+    return image, (far[..., 2] < 254).astype(np.float32)
 
 
 _EXPECTED = f"{RENDERED}/SYNSET/MODEL with render_0.png, depth_0.png, view.txt"

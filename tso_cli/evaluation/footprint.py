@@ -27,16 +27,9 @@ EVEN, RANDOM = 1.0, 1.4
 # The outline lies this many spacings outside the outermost points, because samples of a surface lie
 # inside its true outline.
 RIM = 0.15
-# Least radius and rim, in cells of the grid: smaller ones would be lost between cells.
-LEAST_RADIUS, LEAST_RIM = 1.5, 0.25
-# Largest radius, in longer sides of the window: points far apart form no surface.
-LARGEST_RADIUS = 1.0 / 8.0
 # Cells along the longer side of a window that has more pixels. The pixels of a smaller window are
 # divided into cells, so that there are at least the second number.
 MOST_CELLS, LEAST_CELLS = 256, 214
-# The spacing is estimated from this many points, their distances to this many neighbours, among at
-# most this many points of the cloud.
-SPACING_QUERIES, SPACING_NEIGHBOURS, SPACING_POINTS = 128, 8, 4096
 
 IOU_MEANS = (
     "intersection over union of the mask (> 0.5) and the cloud's silhouette, its points joined "
@@ -108,15 +101,16 @@ def in_window(points: Array, view: View, box: Box) -> WindowImages:
 def spacing(points: Array) -> tuple[float, float]:
     """Spacing of the points [N, 3] of a surface, and radius of the disc that closes their gaps.
 
-    The spacing is 1 / sqrt(points per area), the median over the cloud. The radius is 1 to 1.4
-    spacings. Both are 0 if all points are equal.
+    The spacing is 1 / sqrt(points per area), the median over the cloud. It is estimated from the
+    eighth neighbours of at most 128 points, among at most 4,096 points of the cloud. The radius is
+    1 to 1.4 spacings. Both are 0 if all points are equal.
     """
     unit = longest_side(points)
     if unit == 0.0:
         return 0.0, 0.0
-    cloud = _subset(points, SPACING_POINTS)
+    cloud = _subset(points, most=4096)
     cloud = (cloud - cloud.mean(0)) / unit
-    queries, count = _subset(cloud, SPACING_QUERIES), min(SPACING_NEIGHBOURS, len(cloud) - 1)
+    queries, count = _subset(cloud, most=128), min(8, len(cloud) - 1)
     squared = queries @ cloud.T
     squared *= -2.0
     squared += np.square(cloud).sum(1)
@@ -147,7 +141,8 @@ def footprint(points: Array, camera: Camera) -> Bits:
     Points outside the image count; points at or behind the camera do not.
     """
     size = np.array([camera.width, camera.height])
-    widest = LARGEST_RADIUS * float(size.max())
+    # Points far apart form no surface.
+    widest = 1.0 / 8.0 * float(size.max())
     pixels, depth, visible = camera.project_visible(points)
     # Points further outside change nothing in the image; NaN compares false.
     visible &= (np.abs(pixels - (size - 1.0) / 2.0) < size / 2.0 + 2.0 * widest).all(1)
@@ -158,8 +153,9 @@ def footprint(points: Array, camera: Camera) -> Bits:
     if not visible.any():
         return silhouette
     spaced, closing = spacing(points)
-    radius = np.clip(closing * scale[visible], LEAST_RADIUS, widest).astype(np.float32)
-    rim = np.clip(RIM * spaced * scale[visible], LEAST_RIM, RIM * widest).astype(np.float32)
+    # A radius under 1.5 cells, or a rim under a quarter, would be lost between cells.
+    radius = np.clip(closing * scale[visible], 1.5, widest).astype(np.float32)
+    rim = np.clip(RIM * spaced * scale[visible], 0.25, RIM * widest).astype(np.float32)
 
     # The grid has a border of cells beyond all discs.
     cell = np.rint(pixels[visible]).astype(int)

@@ -16,8 +16,6 @@ Number = TypeVar("Number", bound=np.generic)
 # Farthest-point sampling chooses about a thousand points. In a large cloud it chooses them among
 # this many: its time grows with the number of candidates.
 CANDIDATES = 16_384
-# The fractional parts of the multiples of the golden ratio fill the unit interval evenly.
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 def as_points(points: ArrayLike, name: str = "cloud") -> Array:
@@ -51,6 +49,11 @@ def quantile(values: Array, share: float) -> Array:
     return interpolated
 
 
+def evenly(count: int, most: int) -> list[int]:
+    """At most ``most`` of the indices 0 to ``count`` - 1, evenly from the first to the last."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int).tolist()
+
+
 def scattered(points: NDArray[Number], most: int) -> NDArray[Number]:
     """At most ``most`` of ``points`` [N, ...], evenly from the whole array and in its order.
 
@@ -59,8 +62,10 @@ def scattered(points: NDArray[Number], most: int) -> NDArray[Number]:
     """
     if len(points) <= most:
         return points
+    # The fractional parts of its multiples fill the unit interval evenly.
+    golden = (5.0**0.5 - 1.0) / 2.0
     # Some of these indices may be equal.
-    return points[np.unique((len(points) * (np.arange(most) * GOLDEN % 1.0)).astype(np.int64))]
+    return points[np.unique((len(points) * (np.arange(most) * golden % 1.0)).astype(np.int64))]
 
 
 def farthest_point_sample(points: ArrayLike, count: int) -> Indices:
@@ -98,9 +103,7 @@ def farthest_point_sample(points: ArrayLike, count: int) -> Indices:
 
 
 def spread_subset(
-    points: ArrayLike,
-    count: int,
-    sample: Callable[[Array, int], Indices] = farthest_point_sample,
+    points: ArrayLike, count: int, sample: Callable[[Array, int], Indices] = farthest_point_sample
 ) -> Indices:
     """Indices of at most ``count`` evenly spread points of ``points`` [N, 3].
 

@@ -12,10 +12,15 @@ from ..errors import InputError
 from .arrays import Array, Bits, Box, Floats, Indices
 from .camera import Camera
 
-# A speck is a connected part of the foreground that does not belong to the object, such as a false
-# detection of the program that made the mask.
-SPECK_SHARE = 0.01  # the largest share of the foreground that is taken for specks
-SPECK_DISTANCE = 0.25  # least distance of a speck from the object, in units of the object's size
+
+class Speck:
+    """A connected part of the foreground that does not belong to the object.
+
+    An example is a false detection of the program that made the mask.
+    """
+
+    SHARE = 0.01  # the largest share of the foreground that all specks together have
+    DISTANCE = 0.25  # least distance of a speck from the object, in units of the object's size
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +164,11 @@ class View:
 def object_box(inside: Bits) -> tuple[int, int, int, int]:
     """Left, top, right and bottom of the object in ``inside`` [H, W], right and bottom exclusive.
 
-    The object is the foreground without specks. A speck is a connected part of the foreground that
-    has at most SPECK_SHARE of its pixels and lies more than SPECK_DISTANCE of the object's size
-    away from the object. If all specks together have more than SPECK_SHARE of the foreground, they
-    belong to the object.
+    The object is the foreground without specks (`Speck`). If all specks together have too large a
+    share of the foreground, they belong to the object.
     """
     counts = inside.sum(0), inside.sum(1)
-    limit = SPECK_SHARE * int(counts[0].sum())
+    limit = Speck.SHARE * int(counts[0].sum())
     low, high = np.array([np.flatnonzero(count)[[0, -1]] for count in counts]).T + [[0], [1]]
     # The box that leaves out at most ``limit`` pixels on each side. In most masks it is close to
     # the box of the whole foreground: then there is no speck, and no need to find connected parts.
@@ -173,7 +176,7 @@ def object_box(inside: Bits) -> tuple[int, int, int, int]:
     bulk_high = np.array(
         [len(count) - np.searchsorted(np.cumsum(count[::-1]), limit, "right") for count in counts]
     )
-    away = SPECK_DISTANCE * (bulk_high - bulk_low).max()
+    away = Speck.DISTANCE * (bulk_high - bulk_low).max()
     if (low < bulk_low - away).any() or (high > bulk_high + away).any():
         low, high = _box_without_specks(inside, limit) or (low, high)
     (left, top), (right, bottom) = low.tolist(), high.tolist()
@@ -196,7 +199,7 @@ def _box_without_specks(inside: Bits, limit: float) -> tuple[Indices, Indices] |
     if not large.any():
         return None
     first, last = low[large].min(0), high[large].max(0)
-    away = SPECK_DISTANCE * (last - first).max()
+    away = Speck.DISTANCE * (last - first).max()
     speck = ~large & ((low < first - away) | (high > last + away)).any(1)
     if sizes[speck].sum() > limit:
         return None

@@ -25,7 +25,6 @@ from .images import PIXEL_LIMIT
 from .output import write_file
 from .reading import read_json, shown
 
-_FILE_LIMIT = 64 << 20
 _REQUIRED = ("width", "height", "K", "R", "t")
 _OPTIONAL = ("model", "mask", "image")
 _LARGEST = 1e15  # products of larger entries have no correct digits left
@@ -73,8 +72,8 @@ def read_cameras(path: str | Path) -> list[CameraRecord]:
         path,
         "a camera file (JSON)",
         "a camera file",
-        _FILE_LIMIT,
-        lambda pairs: _unique(pairs, path),
+        limit=64 << 20,
+        build=lambda pairs: _unique(pairs, path),
     )
     if not isinstance(document, dict):
         raise InputError(

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Indices
 from ..geometry.points import longest_side
-from .output import atomic_output, check_output
+from .output import check_output, write_file
 from .ply import PlyFile, new_ply
 from .reading import TextTable, read_array, read_bytes, require_memory
 
@@ -21,12 +21,6 @@ SUFFIXES = (".ply", ".npy", ".xyz", ".txt")
 _LARGEST = 1e100
 # The most memory that a point takes in a refinement, if it only follows the control points.
 BYTES_PER_POINT = 250
-# The most memory that a line of numbers takes while it is read.
-BYTES_PER_TEXT_LINE = 800
-# Rounding to float32 is invisible up to this part of the cloud's longest side.
-_HARMLESS_ROUNDING = 1e-6
-# A user is warned if the file's float32 rounds the result by more than this part of that side.
-_VISIBLE_ROUNDING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +98,8 @@ def write_cloud(
 
     If ``like`` was read from a PLY file, the new file is that file with other coordinates; every
     other byte stays. A warning names what is wrong after the move: normals, and the rotations and
-    scales of Gaussian splats.
+    scales of Gaussian splats. Another warning says by how much the
+    file's float rounds the result, if that is over 1e-4 of the cloud's longest side.
 
     Otherwise the type of the coordinates is ``dtype``, or the precision of ``like``. If neither is
     given, it is float32 as long as rounding moves no point by over a millionth of the cloud's
@@ -135,7 +130,7 @@ def write_cloud(
         if "f4" in like.ply.kinds:
             if np.isinf(rounding):
                 raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path}")
-            if rounding > _VISIBLE_ROUNDING * extent:
+            if rounding > 1e-4 * extent:
                 warnings.warn(
                     f"{path}: its coordinates are stored as float, as in {like.path}: rounding "
                     f"moves points by up to {rounding:.2g}, the cloud's longest side is "
@@ -149,10 +144,9 @@ def write_cloud(
                 stacklevel=2,
             )
     else:
-        precise = "float32" if rounding <= _HARMLESS_ROUNDING * extent else "float64"
+        precise = "float32" if rounding <= 1e-6 * extent else "float64"
         data = new_ply(points, dtype or (like.precision if like is not None else precise))
-    with atomic_output(path, overwrite) as temporary:
-        temporary.write_bytes(data)
+    write_file(path, data, overwrite)
 
 
 def _from_array(data: bytes, path: Path) -> PointCloud:
@@ -168,7 +162,8 @@ def _from_array(data: bytes, path: Path) -> PointCloud:
 
 
 def _from_text(data: bytes, path: Path) -> PointCloud:
-    require_memory(path, BYTES_PER_TEXT_LINE * data.count(b"\n"))
+    # A line of numbers takes at most 800 bytes while it is read.
+    require_memory(path, 800 * data.count(b"\n"))
     table = TextTable(data, path)
     table.drop_comments()
     short = table.counts < 3

@@ -26,13 +26,9 @@ if TYPE_CHECKING:
     from PIL import Image
 
 PIXEL_LIMIT = 100_000_000
-BYTES_PER_PIXEL = 16  # the most memory that a pixel of a mask takes
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
-# An alpha channel is the mask if at least this share of it is transparent. Below that it is a few
-# pixels that an editor left transparent.
-LEAST_TRANSPARENT = 1e-3
 _FILE_LIMIT = 1 << 31
 # Standard error is redirected while a TIFF is decoded: one thread at a time.
 _stderr_lock = threading.Lock()
@@ -40,7 +36,7 @@ Convert = Callable[["Image.Image", Path], NDArray[Any]]
 _WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 
 
-def read_mask(path: str | Path, invert: bool = False) -> Floats:
+def read_mask(path: str | Path) -> Floats:
     """Read a picture or .npy file as a mask [H, W] in [0, 1]; inside is 1, soft values stay.
 
     The values of a picture are, in this order:
@@ -50,14 +46,13 @@ def read_mask(path: str | Path, invert: bool = False) -> Floats:
     3. its brightness (of a colour the largest channel).
 
     Integers are divided by the largest value of their type. If the largest value in the file is 1,
-    they are labels 0 and 1 instead, with a warning. With ``invert`` dark is inside.
+    they are labels 0 and 1 instead, with a warning.
 
     Raises InputError if the file is not a readable image, has over 100 megapixels, or has values
     outside [0, 1].
     """
     path = Path(path)
-    mask = _to_unit(_read_values(path, "a mask image", "a mask [H, W]", "bfiu", _mask_values), path)
-    return np.float32(1.0) - mask if invert else mask
+    return _to_unit(_read_values(path, "a mask image", "a mask [H, W]", "bfiu", _mask_values), path)
 
 
 def read_depth(path: Path, scale: float = 1.0) -> Array:
@@ -133,7 +128,8 @@ def _check_size(width: int, height: int, path: Path) -> None:
             f"{path}: is {width}x{height}, {width * height:,} pixels, "
             f"expected at most {PIXEL_LIMIT:,}"
         )
-    require_memory(path, BYTES_PER_PIXEL * width * height)
+    # A pixel of a mask takes at most 16 bytes.
+    require_memory(path, 16 * width * height)
 
 
 def _load(image: Image.Image) -> None:
@@ -206,8 +202,9 @@ def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
     if transparency or image.mode in _WITH_ALPHA:
         with_channel = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
         alpha = np.asarray(with_channel.getchannel("A"))
-        # Nor is a channel the mask that is slightly transparent everywhere.
-        if np.count_nonzero(alpha < 128) >= LEAST_TRANSPARENT * alpha.size:
+        # The alpha channel is no mask if an editor left a few pixels of it transparent, or if it is
+        # slightly transparent everywhere.
+        if np.count_nonzero(alpha < 128) >= 1e-3 * alpha.size:
             return alpha
     if image.mode == "P":
         return _palette_values(image)

@@ -15,8 +15,6 @@ from ..geometry.arrays import Array
 from .reading import read_bytes, shown
 
 EXPECTED = "the log of a training (.jsonl, as tso train writes it with `log_file`)"
-FILE_LIMIT = 1 << 28  # bytes; 20,000 steps take about 2 MB
-LOSS_TERMS_LIMIT = 7  # a training has fewer
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +32,8 @@ def read_log(path: Path) -> TrainingLog:
     Raises InputError if it cannot be read, its lines differ in form, or there is no step.
     """
     try:
-        lines = read_bytes(path, EXPECTED, FILE_LIMIT).decode("utf-8").splitlines()
+        # 20,000 steps take about 2 MB.
+        lines = read_bytes(path, EXPECTED, limit=1 << 28).decode("utf-8").splitlines()
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not text, expected {EXPECTED}") from None
     rows = []
@@ -56,7 +55,7 @@ def read_log(path: Path) -> TrainingLog:
     names = list(steps[0])
     if (
         names[:2] != ["step", "loss"]
-        or len(names) > 2 + LOSS_TERMS_LIMIT
+        or len(names) > 2 + 7  # a loss has fewer terms
         or not all(name.isidentifier() and len(name) < 20 for name in names)
     ):
         raise InputError(f"{path}: line 2 has {shown(names)}, expected step, loss and so on")

@@ -17,8 +17,6 @@ from ..geometry.arrays import Array, Indices
 from .ply_header import Element
 from .reading import TextTable, shown
 
-_VALUES_AT_ONCE = 1 << 16  # bounds the memory that replacing values takes
-
 
 def layout(
     body: BinaryBody | TextBody, element: Element, rows: Indices, names: tuple[str, ...] = ()
@@ -217,7 +215,8 @@ def _spliced(
 ) -> bytes:
     """``data[at:]`` with the bytes from ``starts`` to ``ends`` [W] replaced by ``words`` [W]."""
     out = bytearray()
-    for part in np.array_split(np.argsort(starts), 1 + len(starts) // _VALUES_AT_ONCE):
+    # About 65,536 values at once, which bounds the memory.
+    for part in np.array_split(np.argsort(starts), 1 + len(starts) // (1 << 16)):
         for start, end, word in zip(
             starts[part].tolist(), ends[part].tolist(), words[part].tolist(), strict=True
         ):

@@ -11,8 +11,6 @@ from .reading import shown
 
 # Bytes. Real headers have a few hundred bytes, with many comments a few thousand.
 HEADER_LIMIT = 1 << 20
-# Rows of an element. A larger count can only be damage.
-COUNT_LIMIT = 1 << 60
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 KINDS = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -85,7 +83,7 @@ def parse_header(data: bytes, path: Path) -> Header:
             order = FORMATS[words[1]]
         elif words[0] == "element":
             fits = len(words) == 3 and re.fullmatch(r"[0-9]{1,20}", words[2])
-            if not fits or int(words[2]) > COUNT_LIMIT:
+            if not fits or int(words[2]) > 1 << 60:  # it can only be damage
                 raise InputError(f"{line}: expected a name and a count")
             if words[1] in elements:
                 raise InputError(f"{line}: a second element of that name, expected one")

@@ -22,7 +22,6 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from .output import reason
 
-_LONGEST_NUMBER = 100  # characters
 _LONGEST_QUOTE = 60  # characters of a file that a message quotes
 _BLANK = np.isin(np.arange(256), list(b"\t\n\v\f\r "))
 _HEADER_READERS = {
@@ -194,7 +193,7 @@ class TextTable:
             word = self.data[start:end]
             try:
                 # float() would read 1_0 as 10.
-                plain = b"_" not in word and len(word) <= _LONGEST_NUMBER
+                plain = b"_" not in word and len(word) <= 100
                 values[k] = float(word if plain else "")
             except ValueError:
                 line = self.numbers[np.searchsorted(self.first, words.flat[k], side="right") - 1]

@@ -35,7 +35,6 @@ MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb")
 SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")
 
 MAX_VOXELS = 512**3  # marching cubes of such a grid already takes gigabytes
-BYTES_PER_VOXEL = 16  # the most memory that a voxel takes on the way to a surface
 _FACES = re.compile(rb"[\r\n]element[ \t]+face[ \t]+0*[1-9]")
 _NPY_GRID = re.compile(
     rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+, *[0-9]+,?\)", re.DOTALL
@@ -129,7 +128,7 @@ def _read_binvox(path: Path) -> tuple[Bits, float]:
             f"{path}: dim is {shown(f'{depth} {height} {width}')}, "
             f"expected 1 to {MAX_VOXELS:,} voxels"
         )
-    require_memory(path, BYTES_PER_VOXEL * total)
+    require_memory(path, 16 * total)  # the most bytes of a voxel on the way to a surface
     if not 1e-30 < scale < 1e30:
         raise InputError(f"{path}: scale is {scale:g}, expected a size > 0")
     runs = np.frombuffer(content[header.end() :], dtype=np.uint8)

@@ -19,10 +19,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-# Rough times on one thread; their order of magnitude decides.
-# Seconds by which numpy is slower when a cloud is compared with a view once, and for each point.
-SAVED_PER_VIEW, SAVED_PER_POINT = 0.3e-3, 1.5e-6
-SECONDS_TO_LOAD, SECONDS_TO_COMPILE = 0.5, 10.0
+
+class Seconds:
+    """Rough times on one thread; their order of magnitude decides."""
+
+    # Saved by compiled loops when a cloud is compared with a view once, and for each point.
+    PER_VIEW, PER_POINT = 0.3e-3, 1.5e-6
+    TO_LOAD, TO_COMPILE = 0.5, 10.0
+
+
 # The modules that define the loops of a refinement, or import the modules that do.
 MODULES_OF_LOOPS = ("mask_chamfer_numba", "points_numba", "silhouette_numba")
 
@@ -46,7 +51,7 @@ def planned(views: int, points: int, seconds: float = math.inf) -> Iterator[None
     if _plan.get() is not None:
         yield
         return
-    saved = min(SAVED_PER_VIEW * views + SAVED_PER_POINT * points, 0.5 * seconds)
+    saved = min(Seconds.PER_VIEW * views + Seconds.PER_POINT * points, 0.5 * seconds)
     # Decided at the first question, because a look at the disk imports numba.
     token = _plan.set(functools.cache(functools.partial(_pays, saved)))
     try:
@@ -63,9 +68,9 @@ def use_compiled() -> bool:
 
 def _pays(seconds: float) -> bool:
     """Whether compiled loops, which save ``seconds``, save more than it takes to get them."""
-    if seconds < SECONDS_TO_LOAD or not importable("numba"):
+    if seconds < Seconds.TO_LOAD or not importable("numba"):
         return False
-    if seconds >= SECONDS_TO_LOAD + SECONDS_TO_COMPILE or _on_disk():
+    if seconds >= Seconds.TO_LOAD + Seconds.TO_COMPILE or _on_disk():
         return True
     warnings.warn(
         "found no compiled loops on disk, so numpy does this work; `tso compile` makes them once",

@@ -33,9 +33,6 @@ Marks = NDArray[np.bool_]
 STEPS_WORTH_A_THREAD = 1 << 18
 # Work is cut into this many ranges per thread, so that threads that finish early take over ranges.
 RANGES_PER_THREAD = 4
-# A temporary of numba's cache lives for milliseconds. One of this age, s, was left by a killed
-# process.
-LEFTOVER_AGE = 60.0
 
 SETTINGS: dict[str, Any] = {
     "nogil": True,
@@ -59,8 +56,8 @@ def tidy(folder: str) -> None:
 
     1. indices of machine code that are older than a source of this package. numba compares the time
        of a function's own file only, and not of the functions that are compiled into it.
-    2. temporaries that killed processes left. A living process that was stopped for a minute finds
-       that its temporary is gone; it warns and goes on.
+    2. temporaries that killed processes left: a temporary lives for milliseconds. A living process
+       that was stopped for a minute finds that its temporary is gone; it warns and goes on.
     """
     with contextlib.suppress(OSError, ValueError):
         changed = _sources_changed()
@@ -69,7 +66,7 @@ def tidy(folder: str) -> None:
                 index.unlink(missing_ok=True)
     with contextlib.suppress(OSError):
         for path in Path(folder).glob("*.nb[ci].tmp.*"):
-            if time.time() - path.stat().st_mtime > LEFTOVER_AGE:
+            if time.time() - path.stat().st_mtime > 60.0:
                 path.unlink(missing_ok=True)
 
 

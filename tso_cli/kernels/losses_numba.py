@@ -61,20 +61,8 @@ def pixels_to_points(
     total, gradient = np.empty(len(points_px)), np.zeros_like(points_px)
     edge = cell_edge(pixels.shape[1], pixels.shape[2], points_px.shape[1])
     steps = 4 * pixels.size + 8 * valid.size
-    share(
-        len(pixels),
-        steps,
-        threads,
-        _pixels_to_points,
-        pixels,
-        weight,
-        points_px,
-        valid,
-        factor,
-        edge,
-        total,
-        gradient,
-    )
+    arguments = pixels, weight, points_px, valid, factor, edge, total, gradient
+    share(len(pixels), steps, threads, _pixels_to_points, *arguments)
     return total, gradient
 
 

@@ -102,18 +102,9 @@ def _placed(points, valid, total, per_image, height, width, radius, POINTS: tl.c
 
 @triton.jit
 def _add(  # type: ignore[no-untyped-def]
-    points,
-    valid,
-    out,
-    total,
-    per_image,
-    height,
-    width,
-    inverse,
-    radius,
-    POINTS: tl.constexpr,
-    TAPS: tl.constexpr,
-):
+    points, valid, out, total, per_image, height, width, inverse, radius,
+    POINTS: tl.constexpr, TAPS: tl.constexpr,
+):  # fmt: skip
     _, reached, start, column, row, offset_x, offset_y = _placed(
         points, valid, total, per_image, height, width, radius, POINTS
     )
@@ -135,19 +126,9 @@ def _add(  # type: ignore[no-untyped-def]
 
 @triton.jit
 def _gather(  # type: ignore[no-untyped-def]
-    points,
-    valid,
-    image,
-    out,
-    total,
-    per_image,
-    height,
-    width,
-    inverse,
-    radius,
-    POINTS: tl.constexpr,
-    TAPS: tl.constexpr,
-):
+    points, valid, image, out, total, per_image, height, width, inverse, radius,
+    POINTS: tl.constexpr, TAPS: tl.constexpr,
+):  # fmt: skip
     number, reached, start, column, row, offset_x, offset_y = _placed(
         points, valid, total, per_image, height, width, radius, POINTS
     )

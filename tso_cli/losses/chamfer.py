@@ -9,12 +9,6 @@ from ..geometry.points import quantile
 from ..kernels.dispatch import use_compiled
 from .nearest import nearest, nearest_few
 
-# A surface leaves most cells of a grid empty, so there are more cells than points.
-CELLS_PER_POINT = 4.0
-# The grid spans these quantiles of the coordinates: outliers would make its cells too large for the
-# other points. Points outside the grid belong to its outermost cells.
-GRID_QUANTILES = (0.01, 0.99)
-
 
 class ChamferToStart:
     """Chamfer distance between a cloud [N, 3] and the same cloud after its points have moved.
@@ -59,9 +53,12 @@ class _Grid:
     def __init__(self, initial: Array) -> None:
         from ..kernels.points_numba import sort_into_grid
 
-        low, high = (quantile(initial, share) for share in GRID_QUANTILES)
+        # The grid spans 98 % of the points: outliers would make its cells too large for the other
+        # points. Points outside the grid belong to its outermost cells.
+        low, high = quantile(initial, 0.01), quantile(initial, 0.99)
         extent = np.maximum(high - low, np.max(high - low) * 1e-2 + 1e-30)
-        edge = float(np.cbrt(extent.prod() / (CELLS_PER_POINT * len(initial))))
+        # A surface leaves most cells of a grid empty, so there are four cells for a point.
+        edge = float(np.cbrt(extent.prod() / (4.0 * len(initial))))
         sides = np.ceil(extent / edge).astype(np.int64)
         self._cells, self._start = (low, 1.0 / edge, sides), np.ascontiguousarray(initial)
         self._sorted = sort_into_grid(self._start, *self._cells)

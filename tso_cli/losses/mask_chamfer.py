@@ -17,8 +17,6 @@ REFERENCE_SIDE = 64.0
 # A point covers a pixel if its distance, px, to the pixel's centre is at most this: half the
 # diagonal of a pixel, which is the largest distance from a point to the nearest centre.
 COVERED_WITHIN = 0.7
-# Each point first tries the pixels within this many rows and columns of its own pixel.
-REACH = 2
 # Standard deviations across a part, px: pixels do not resolve a part under the first (a strip 0.7
 # px wide), and fully resolve it above the second.
 UNRESOLVED, RESOLVED = 0.2, 0.8
@@ -192,7 +190,7 @@ def _uncovered(
     if not len(candidates):
         return np.empty(0, np.int64), np.empty((0, 2))
     within = COVERED_WITHIN * target.cells_per_mask_pixel
-    near, pixels = _nearest_to_uncovered(REACH, points_px[candidates], target, within)
+    near, pixels = _nearest_to_uncovered(points_px[candidates], target, within)
     (far,) = np.nonzero(near < 0)
     near[far] = nearest(pixels[far], points_px[candidates])
     owner = candidates[near]
@@ -202,13 +200,13 @@ def _uncovered(
 
 
 def _nearest_to_uncovered(
-    reach: int, points_px: Array, target: MaskTarget, within: float
+    points_px: Array, target: MaskTarget, within: float, reach: int = 2
 ) -> tuple[NDArray[np.int64], Array]:
     """The uncovered foreground pixels [P, 2], and the index [P] of the nearest point of each.
 
     A pixel is uncovered if no point lies ``within`` this many px. The index is -1 if no point lies
-    within ``reach`` + 0.5 px. Each point tries the few pixels around it, which is faster than all
-    points for each pixel, and finds the nearest point of most pixels.
+    within ``reach`` + 0.5 px. Each point tries the pixels within ``reach`` rows and columns, which
+    is faster than all points for each pixel, and finds the nearest point of most pixels.
     """
     height, width = target.inside.shape
     furthest = (reach + 0.5) ** 2

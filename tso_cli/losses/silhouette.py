@@ -16,20 +16,10 @@ from .mask_chamfer import REFERENCE_SIDE
 from .nearest import nearest
 from .projection import project_differentiably
 
-# Variance of the paper's Gaussians, px^2 of a 64x64 grid.
-PAPER_SIGMA_SQ = 0.4
 # A silhouette blurred by this variance (px^2) changes little from one pixel to the next.
 SMOOTH_SIGMA_SQ = 6.4
-# Under this exponent a Gaussian is denormal (under 1e-300), and products of denormals are ten times
-# slower.
-LEAST_EXPONENT = -700.0
 # Points that `silhouette_of` draws at once; it bounds the memory.
 POINTS_AT_ONCE = 1 << 13
-
-
-def default_sigma_sq(width: int, height: int) -> float:
-    """The paper's variance, 0.4 px^2 of a 64x64 grid, in px^2 of an image of another size."""
-    return PAPER_SIGMA_SQ * (max(width, height) / REFERENCE_SIDE) ** 2
 
 
 def silhouette_sums(
@@ -47,8 +37,11 @@ def _weights(points_px: Array, height: int, width: int, sigma_sq: float) -> tupl
     The sum over points of the factors' products is a matrix product.
     """
     steps = (np.arange(width) - points_px[:, :1], np.arange(height) - points_px[:, 1:])
+    # Under this exponent a Gaussian is denormal (under 1e-300), and products of denormals are ten
+    # times slower.
+    least = -700.0
     along_x, along_y = (
-        np.exp(np.maximum(np.square(step) * (-0.5 / sigma_sq), LEAST_EXPONENT)) for step in steps
+        np.exp(np.maximum(np.square(step) * (-0.5 / sigma_sq), least)) for step in steps
     )
     return along_x, along_y
 
@@ -123,12 +116,12 @@ def silhouette_of(
 
     If the Gaussian spans many pixels, the sums are computed on a coarser grid (variance 6.4
     cells^2) and interpolated. The result is within 0.04 of the exact value at each pixel, and the
-    cost does not grow with the photo. ``sigma_sq`` is in px^2 of the camera's image, by default 0.4
-    (max(W, H) / 64)^2.
+    cost does not grow with the photo. ``sigma_sq`` is in px^2 of the camera's image, by default the
+    paper's: 0.4 (max(W, H) / 64)^2.
     """
     height, width = camera.height, camera.width
     if sigma_sq is None:
-        sigma_sq = default_sigma_sq(width, height)
+        sigma_sq = 0.4 * (max(width, height) / REFERENCE_SIDE) ** 2
     cloud = np.asarray(points, dtype=np.float64)
     centre = (cloud.min(0) + cloud.max(0)) / 2.0
     scale = float((cloud.max(0) - cloud.min(0)).max()) or 1.0

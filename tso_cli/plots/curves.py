@@ -10,17 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.points import evenly
 from ..io.logs import TrainingLog
 from .style import COLOURS, INK, page
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
     from ..train.data import TrainingData
-
-# Window of the running mean, as a fraction of the steps.
-MEAN_WINDOW = 0.02
-# Most values that are drawn for one curve.
-MOST_VALUES = 4000
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +44,7 @@ def sample_predictions(
 
     samples = []
     device = next(network.parameters()).device
-    chosen = np.linspace(0, len(data.objects) - 1, min(count, len(data.objects))).round()
-    for index in chosen.astype(int).tolist():
+    for index in evenly(len(data.objects), count):
         has_target = data.readable(index)
         if data.usable(index, 0, has_target)[0] != index:
             continue  # none of its pictures can be read
@@ -82,7 +77,8 @@ def lambda_drop(log: TrainingLog) -> int | None:
 def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False) -> None:
     """Draw the loss and its terms over the steps, on a logarithmic scale.
 
-    Raw values are faint, under their running mean. A dotted line marks the drop of lambda. Raises
+    At most 4,000 values are drawn of a curve, faint, under their running mean over 2 % of the
+    steps. A dotted line marks the drop of lambda. Raises
     InputError if ``path`` cannot be written.
     """
     names = dict.fromkeys(name for log in logs for name in log.columns)
@@ -96,9 +92,9 @@ def draw_curves(path: Path, logs: Sequence[TrainingLog], overwrite: bool = False
                 if name not in log.columns:
                     continue
                 values = log.columns[name]
-                stride = max(1, len(values) // MOST_VALUES)
+                stride = max(1, len(values) // 4000)
                 steps = log.columns["step"][::stride]
-                means = running_mean(values, max(1, round(MEAN_WINDOW * len(values))))[::stride]
+                means = running_mean(values, max(1, round(0.02 * len(values))))[::stride]
                 axes[name].plot(steps, values[::stride], color=colour, alpha=0.2, linewidth=0.6)
                 (handles[label],) = axes[name].plot(steps, means, color=colour, linewidth=1.6)
                 if drop is not None:
@@ -126,14 +122,9 @@ def draw_samples(
         axes = figure.subplots(len(samples), 5, squeeze=False)
         for row, sample in zip(axes, samples, strict=True):
             _draw_sample(row, sample)
-        titles = (
-            "input",
-            "prediction, front",
-            "target, front",
-            "prediction, from the right",
-            "target, from the right",
-        )
-        for axis, title in zip(axes[-1], titles, strict=True):
+        sides = ("front", "from the right")
+        clouds = [f"{cloud}, {side}" for side in sides for cloud in ("prediction", "target")]
+        for axis, title in zip(axes[-1], ("input", *clouds), strict=True):
             axis.set_xlabel(title)
         for axis in axes.flat:
             axis.set_xticks([])

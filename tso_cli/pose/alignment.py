@@ -14,21 +14,24 @@ from numpy.typing import NDArray
 from ..geometry.arrays import Array
 from ..geometry.rotations import from_vectors
 
-# Largest scale / focal. With this value the points of a cloud of radius 0.87 (longest side 1) keep
-# at least a tenth of the depth of its centre.
-LARGEST_NEARNESS = 1.0
-# Least depth of a point relative to the centre's depth; nearer points are projected from here.
-LEAST_RELATIVE_DEPTH = 0.05
 # Distances under half a pixel, px, are inside a pixel and count as 0.
 TOLERANCE = 0.5
-# The linear model holds for steps up to this, in radians and in logarithms of scale and focal
-# length.
-LARGEST_STEP = 0.4
-# Levenberg-Marquardt damping, relative and absolute.
-DAMPING, LEAST_DAMPING = 1e-3, 1e-6
-# One standard deviation of the prior on the focal length weighs as much as residuals of this share
-# of the image, and this weight fixes the focal length.
-PRIOR_RESIDUAL, FIXED_WEIGHT = 0.02, 1e9
+
+
+class Step:
+    """Limits and weights of one Gauss-Newton step."""
+
+    # The linear model holds for steps up to this, in radians and in logarithms of scale and focal
+    # length.
+    LARGEST = 0.4
+    # Levenberg-Marquardt damping, relative and absolute.
+    DAMPING, LEAST_DAMPING = 1e-3, 1e-6
+    # One standard deviation of the prior on the focal length weighs as much as residuals of this
+    # share of the image, and this weight fixes the focal length.
+    PRIOR_RESIDUAL, FIXED_WEIGHT = 0.02, 1e9
+    # Largest scale / focal. With this value the points of a cloud of radius 0.87 (longest side 1)
+    # keep at least a tenth of the depth of its centre.
+    LARGEST_NEARNESS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +86,13 @@ class Target:
 
 
 def project(points: Array, poses: Poses, principal: Array) -> tuple[Array, Array, Array]:
-    """Pixels [P, N, 2] of ``points`` [N, 3], rotated points [P, N, 3], inverse depth [P, N]."""
+    """Pixels [P, N, 2] of ``points`` [N, 3], rotated points [P, N, 3], inverse depth [P, N].
+
+    A point whose depth is under 0.05 of the centre's depth is projected from there.
+    """
     rotated = points @ poses.R.transpose(0, 2, 1)
     nearness = (poses.scale / poses.focal)[:, None]
-    inverse = 1.0 / np.maximum(1.0 + nearness * rotated[..., 2], LEAST_RELATIVE_DEPTH)
+    inverse = 1.0 / np.maximum(1.0 + nearness * rotated[..., 2], 0.05)
     plane = poses.scale[:, None, None] * rotated[..., :2] + (poses.centre - principal)[:, None]
     return principal + plane * inverse[..., None], rotated, inverse
 
@@ -185,14 +191,16 @@ def _step(
 ) -> Poses:
     """One damped step of each pose."""
     focal, deviation = prior
-    prior_weight = FIXED_WEIGHT if deviation == 0.0 else (PRIOR_RESIDUAL * size / deviation) ** 2
+    prior_weight = Step.FIXED_WEIGHT
+    if deviation:
+        prior_weight = (Step.PRIOR_RESIDUAL * size / deviation) ** 2
     normal[:, 6, 6] += prior_weight
     gradient[:, 6] += prior_weight * np.log(focal / poses.focal)
     diagonal = np.einsum("pii->pi", normal)
-    diagonal += DAMPING * diagonal + LEAST_DAMPING
+    diagonal += Step.DAMPING * diagonal + Step.LEAST_DAMPING
     step: Array = np.asarray(np.linalg.solve(normal, gradient[..., None])[..., 0], np.float64)
     largest = np.abs(step[:, [0, 1, 2, 5, 6]]).max(1, keepdims=True)
-    step /= np.maximum(largest / LARGEST_STEP, 1.0)
+    step /= np.maximum(largest / Step.LARGEST, 1.0)
     scale = poses.scale * np.exp(step[:, 5])
-    focal = np.maximum(poses.focal * np.exp(step[:, 6]), scale / LARGEST_NEARNESS)
+    focal = np.maximum(poses.focal * np.exp(step[:, 6]), scale / Step.LARGEST_NEARNESS)
     return Poses(from_vectors(step[:, :3]) @ poses.R, poses.centre + step[:, 3:5], scale, focal)

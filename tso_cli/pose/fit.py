@@ -18,13 +18,24 @@ from ..geometry.view import View
 from .alignment import Poses, Target, improve
 from .starts import closed_iou, distinct, starts
 
-# Prior on the focal length: the canonical camera's, in longer sides of the image, and the standard
-# deviation of its logarithm.
-FOCAL = CANONICAL_FOCAL_AT_64 / 64.0
-FOCAL_DEVIATION = 0.35
-# Side of the square around the object, in longer sides of the mask's box: poses beyond the mask can
-# be scored.
-SQUARE_SIDE = 1.3
+
+class Focal:
+    """The prior on the focal length, and the focal lengths that are tried."""
+
+    MEAN = CANONICAL_FOCAL_AT_64 / 64.0  # in longer sides of the image
+    DEVIATION = 0.35  # standard deviation of the logarithm
+    # Tried, in multiples of the prior's. One fits as well if it loses less IoU than the tolerance.
+    FACTORS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
+    IOU_TOLERANCE = 0.01
+
+
+class Points:
+    """Numbers of points of a cloud."""
+
+    FEWEST = 16
+    # Larger clouds are thinned at random before farthest points are chosen, to save time.
+    THINNED = 4096
+    SCORED = 1024  # in the end
 
 
 @dataclass(frozen=True)
@@ -41,19 +52,6 @@ class _Search:
 
 COARSE = _Search(size=32, points=256, poses=48, degrees=20.0, steps=12, robust=6.0)
 FINE = _Search(size=64, points=512, poses=12, degrees=10.0, steps=20, robust=4.0)
-# Points with which poses are scored in the end, and fewest points of a cloud.
-SCORED_POINTS, FEWEST_POINTS = 1024, 16
-# Smallest angle between alternative poses, degrees.
-ALTERNATIVE_ANGLE = 20.0
-# Clouds are thinned to this number at random before farthest points are chosen, to save time.
-THINNED_POINTS = 4096
-# A pose is sure if its IoU is at least the first number, and exceeds the IoU of the best
-# alternative by the second.
-SURE_IOU, SURE_GAP = 0.75, 0.05
-# Focal lengths that are tried, in multiples of the prior. One fits as well if it loses less IoU
-# than the tolerance.
-FOCAL_FACTORS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
-IOU_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -86,6 +84,9 @@ class FittedCamera:
     alternatives: tuple[Alternative, ...]
     focal_range: tuple[float, float]
 
+    # A sure pose has at least this IoU, and exceeds the IoU of the best alternative by this gap.
+    SURE_IOU, SURE_GAP = 0.75, 0.05
+
     def describe(self) -> str:
         """One line for the log."""
         toward = np.clip(-self.camera.R[2], -1.0, 1.0)
@@ -106,15 +107,15 @@ class FittedCamera:
     @property
     def sure(self) -> bool:
         """Whether the camera fits well, and no alternative fits about as well."""
-        return self.iou >= SURE_IOU and self.confidence >= SURE_GAP
+        return self.iou >= self.SURE_IOU and self.confidence >= self.SURE_GAP
 
     @property
     def why_unsure(self) -> str:
         """Why the camera is not sure, if it is not."""
-        if self.iou < SURE_IOU or not self.alternatives:
+        if self.iou < self.SURE_IOU or not self.alternatives:
             return (
                 f"it brings the cloud onto the mask with an IoU of {self.iou:.3f}, "
-                f"expected at least {SURE_IOU}"
+                f"expected at least {self.SURE_IOU}"
             )
         other = self.alternatives[0]
         return (
@@ -149,10 +150,10 @@ def fit_camera(
     background.
     """
     array = as_points(points)
-    if len(array) < FEWEST_POINTS:
+    if len(array) < Points.FEWEST:
         raise InputError(
             f"the cloud holds {len(array)} points, "
-            f"expected at least {FEWEST_POINTS} to fit a camera to a mask"
+            f"expected at least {Points.FEWEST} to fit a camera to a mask"
         )
     centre, unit = bounding_box_normalisation(array)
     local = _spread_points((array - centre) / unit)
@@ -160,7 +161,7 @@ def fit_camera(
     height, width = image.shape
     view = View(image, Camera.canonical(width, height), known, name)
     crop = _Crop.around(view)
-    focal = FOCAL * max(width, height) if focal is None else focal
+    focal = Focal.MEAN * max(width, height) if focal is None else focal
 
     coarse, fine = crop.target(view, COARSE.size), crop.target(view, FINE.size)
     zoom = FINE.size / COARSE.size
@@ -169,15 +170,15 @@ def fit_camera(
     fine_points, coarse_points = local[: FINE.points], local[: COARSE.points]
     poses, score = starts(fine_points, coarse, coarse_focal)
     poses = poses[distinct(poses, score, COARSE.degrees, COARSE.poses)]
-    prior = coarse_focal, FOCAL_DEVIATION
+    prior = coarse_focal, Focal.DEVIATION
     poses = improve(coarse_points, poses, coarse, COARSE.steps, prior, COARSE.robust)
     score = closed_iou(fine_points, poses, coarse, _spacing(fine_points))
     poses = poses[distinct(poses, score, FINE.degrees, FINE.poses)].resized(zoom)
-    prior = fine_focal, FOCAL_DEVIATION
+    prior = fine_focal, Focal.DEVIATION
     poses = improve(fine_points, poses, fine, FINE.steps, prior, FINE.robust)
     spacing = _spacing(local)
     score = closed_iou(local, poses, fine, spacing)
-    order = distinct(poses, score, ALTERNATIVE_ANGLE, len(poses))
+    order = distinct(poses, score, degrees=20.0, count=len(poses))
     poses, score = poses[order], score[order]
 
     cameras = [crop.camera(poses[i : i + 1], view, centre, unit) for i in range(len(poses))]
@@ -188,10 +189,10 @@ def fit_camera(
         if not _same_by_symmetry(local, poses.R[0], poses.R[i], spacing)
     )
     # Focal lengths that fit as well after the rest of the pose is fitted to them.
-    repeats = np.zeros(len(FOCAL_FACTORS), dtype=np.int64)
-    fixed = replace(poses[repeats], focal=fine_focal * FOCAL_FACTORS)
+    repeats = np.zeros(len(Focal.FACTORS), dtype=np.int64)
+    fixed = replace(poses[repeats], focal=fine_focal * Focal.FACTORS)
     fixed = improve(fine_points, fixed, fine, FINE.steps // 2, (fixed.focal, 0.0), FINE.robust)
-    fits = closed_iou(local, fixed, fine, spacing) >= ious[0] - IOU_TOLERANCE
+    fits = closed_iou(local, fixed, fine, spacing) >= ious[0] - Focal.IOU_TOLERANCE
     focal_lengths = np.append(fixed.focal[fits], poses.focal[0]) * crop.side / FINE.size
     return FittedCamera(
         cameras[0],
@@ -204,7 +205,10 @@ def fit_camera(
 
 @dataclass(frozen=True)
 class _Crop:
-    """A square of the image around the object: left and top edge, and side, px."""
+    """A square of the image around the object: left and top edge, and side, px.
+
+    The side is 1.3 longer sides of the mask's box, so that poses beyond the mask can be scored.
+    """
 
     left: float
     top: float
@@ -213,7 +217,7 @@ class _Crop:
     @classmethod
     def around(cls, view: View) -> _Crop:
         left, top, right, bottom = view.box()
-        side = max(right - left, bottom - top) * SQUARE_SIDE
+        side = max(right - left, bottom - top) * 1.3
         return cls((left + right - side) / 2.0, (top + bottom - side) / 2.0, side)
 
     def target(self, view: View, size: int) -> Target:
@@ -237,9 +241,9 @@ class _Crop:
 
 def _spread_points(points: Array) -> Array:
     """At most 1,024 of ``points``; for every k the first k of them are spread evenly."""
-    if len(points) > THINNED_POINTS:
-        points = points[np.random.default_rng(0).permutation(len(points))[:THINNED_POINTS]]
-    return points[farthest_point_sample(points, min(SCORED_POINTS, len(points)))]
+    if len(points) > Points.THINNED:
+        points = points[np.random.default_rng(0).permutation(len(points))[: Points.THINNED]]
+    return points[farthest_point_sample(points, min(Points.SCORED, len(points)))]
 
 
 def _spacing(points: Array) -> float:

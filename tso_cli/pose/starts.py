@@ -9,10 +9,6 @@ from ..geometry.arrays import Array
 from ..geometry.rotations import angle_between, spread
 from .alignment import Poses, Target, project
 
-# 150 viewing directions, 16 degrees apart, and for each 18 in-plane rotations, 20 degrees apart.
-DIRECTIONS, TURNS = 150, 18
-# Poses that are scored at once; it bounds the memory.
-AT_ONCE = 600
 # Width in cells of the border around the image that collects the points outside the image.
 BORDER = 2
 
@@ -23,12 +19,14 @@ def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
     With its scale and centre, the box of the projected ``points`` [N, 3] (longest side 1, centred)
     has the area and the middle of the mask's box. ``focal`` is in px of the target.
     """
-    rotations = spread(DIRECTIONS, TURNS)
+    # Viewing directions are 16 degrees apart, and in-plane rotations 20 degrees.
+    rotations = spread(directions=150, turns=18)
     inside = target.inside()
     low, high = inside.min(0) - 0.5, inside.max(0) + 0.5
     middle, size = (low + high) / 2.0, float(np.sqrt(np.prod(high - low)))
     batches, scores = [], []
-    for R in (rotations[i : i + AT_ONCE] for i in range(0, len(rotations), AT_ONCE)):
+    at_once = 600  # it bounds the memory
+    for R in (rotations[i : i + at_once] for i in range(0, len(rotations), at_once)):
         poses = Poses(
             R,
             np.tile(middle, (len(R), 1)),

@@ -18,10 +18,6 @@ RAYS_ACROSS = 5
 RAYS_AT_ONCE = 1 << 21  # bounds the memory to some hundred megabytes
 # Brightness of a face that is parallel to the light; a face toward the light has brightness 1.
 AMBIENT = 0.3
-# Direction of the light in camera axes: from the upper left, behind the camera.
-FIXED_LIGHT = (-0.5, -0.7, -0.6)
-# Mean and standard deviation of a random direction: mostly from above, on the camera's side.
-MEAN_LIGHT, LIGHT_DEVIATION = (0.0, -0.6, -0.8), (0.6, 0.4, 0.3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,8 +155,13 @@ def render_view(
 
 
 def _light(rng: np.random.Generator | None) -> Array:
-    """Unit vector toward the light, in camera axes."""
-    direction = np.array(FIXED_LIGHT) if rng is None else rng.normal(MEAN_LIGHT, LIGHT_DEVIATION)
+    """Unit vector toward the light, in camera axes: at the upper left, behind the camera.
+
+    A random light is mostly above, on the camera's side.
+    """
+    direction = np.array((-0.5, -0.7, -0.6))
+    if rng is not None:
+        direction = rng.normal(loc=(0.0, -0.6, -0.8), scale=(0.6, 0.4, 0.3))
     return direction / max(float(np.linalg.norm(direction)), 1e-9)
 
 

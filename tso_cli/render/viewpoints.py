@@ -8,11 +8,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array
-from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera, intrinsics
+from ..geometry.camera import CANONICAL_DISTANCE, Camera
 
 MARGIN_PX = 2.0  # the border around the object in pictures of `fitting_distance`
-# The least distance of a vertex from the camera, in units of the longest side of the mesh.
-LEAST_DEPTH = 0.01
 
 
 @dataclass(frozen=True)
@@ -60,27 +58,18 @@ class RenderSettings:
             )
 
 
-def look_at(
-    azimuth: float,
-    elevation: float,
-    distance: float,
-    size: tuple[int, int],
-    focal: float | None = None,
-) -> Camera:
+def look_at(azimuth: float, elevation: float, distance: float, size: tuple[int, int]) -> Camera:
     """The camera that looks at the origin from ``azimuth``, ``elevation`` (degrees), ``distance``.
 
-    ``size`` is width, height. ``focal`` is in pixels; None means the canonical focal length, 120 px
-    for each 64 px of the longer side.
+    ``size`` is width, height. The focal length is the canonical camera's.
     """
-    width, height = size
-    focal = CANONICAL_FOCAL_AT_64 * max(size) / 64.0 if focal is None else focal
     sin_a, cos_a = np.sin(np.radians(azimuth)), np.cos(np.radians(azimuth))
     sin_e, cos_e = np.sin(np.radians(elevation)), np.cos(np.radians(elevation))
     right = [cos_a, 0.0, -sin_a]
     down = [sin_e * sin_a, -cos_e, sin_e * cos_a]
     forward = [-cos_e * sin_a, -sin_e, -cos_e * cos_a]
-    K, R = intrinsics(focal, width, height), np.array([right, down, forward])
-    return Camera(K, R, np.array([0.0, 0.0, distance]), width, height)
+    R = np.array([right, down, forward])
+    return replace(Camera.canonical(*size), R=R, t=np.array([0.0, 0.0, distance]))
 
 
 def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX) -> float:
@@ -94,8 +83,9 @@ def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX)
     half -= np.minimum(margin, half / 4.0)
     rotated = vertices @ camera.R.T
     distances = np.abs(rotated[:, :2]) * camera.K[[0, 1], [0, 1]] / half - rotated[:, 2:]
-    # The last term keeps vertices on the optical axis in front of the camera.
-    return float(max(CANONICAL_DISTANCE, distances.max(), LEAST_DEPTH - rotated[:, 2].min()))
+    # The last term keeps vertices on the optical axis in front of the camera, by a hundredth of the
+    # mesh's longest side.
+    return float(max(CANONICAL_DISTANCE, distances.max(), 0.01 - rotated[:, 2].min()))
 
 
 def sample_cameras(

@@ -17,8 +17,6 @@ from ..network.model import IMAGE_SIZE
 
 TEXTURES = "textures"
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
-# Most photos kept in memory, 0.2 MB each, and the longest side to which they are shrunk, px.
-MOST_PHOTOS, PHOTO_SIDE = 2000, 256
 
 
 class Backgrounds:
@@ -33,7 +31,7 @@ class Backgrounds:
     def __init__(self, source: str, strict: bool = False) -> None:
         self.source, self.strict = source, strict
         self.unusable: dict[str, str] = {}
-        self._photo = lru_cache(MOST_PHOTOS)(_shrunk)
+        self._photo = lru_cache(maxsize=2000)(_shrunk)  # 0.2 MB each
         self._paths: list[Path] = []
         if source == TEXTURES:
             return
@@ -82,9 +80,10 @@ class Backgrounds:
 
 
 def _shrunk(path: Path) -> NDArray[np.uint8]:
+    """The photo, shrunk to a longest side of 256 px."""
     pixels = read_image(path)[..., :3].astype(np.float32) / np.float32(255.0)
     height, width = pixels.shape[:2]
-    factor = min(1.0, PHOTO_SIDE / max(height, width))
+    factor = min(1.0, 256 / max(height, width))
     size = max(1, round(width * factor)), max(1, round(height * factor))
     shrunk, _ = area_resize(pixels, (-0.5, -0.5, width - 0.5, height - 0.5), *size)
     return np.rint(255.0 * np.clip(shrunk, 0.0, 1.0)).astype(np.uint8)

@@ -20,6 +20,7 @@ from ..datasets.items import ObjectItem
 from ..errors import InputError
 from ..geometry.arrays import Floats
 from ..geometry.camera import Camera
+from ..geometry.points import evenly
 from ..geometry.view import View
 from ..network.input import NetworkInput, network_input
 from .backgrounds import Backgrounds
@@ -28,10 +29,6 @@ T = TypeVar("T")
 # Memory for prepared views, 20 KiB each, and targets. Other views are read again when they are
 # needed.
 CACHE_BYTES = 1 << 30
-# Most warnings of unusable pictures, each with its name. The command counts all of them.
-MOST_WARNINGS = 10
-# Number of objects whose first picture enters the fingerprint.
-FINGERPRINTED = 16
 
 
 @dataclass(eq=False)
@@ -83,7 +80,7 @@ class TrainingData:
         self._lock = threading.Lock()
 
     def fingerprint(self) -> str:
-        """A digest of all names and of the first view of some objects.
+        """A digest of all names and of the first view of at most 16 objects.
 
         A resumed run must see the same data.
         """
@@ -91,7 +88,7 @@ class TrainingData:
         digest = hashlib.sha256(f"{self.crop_share}/{self.background}/{backgrounds}".encode())
         for item in self.objects:
             digest.update(f"{item.name}/{len(item.views)}".encode())
-        for index in _spread(range(len(self.objects)), FINGERPRINTED):
+        for index in evenly(len(self.objects), most=16):
             try:
                 first = self.prepared(index, 0)
             except InputError:
@@ -117,7 +114,7 @@ class TrainingData:
         """
         indices = []
         with_target = [i for i, item in enumerate(self.objects) if item.target is not None]
-        for index in _spread(with_target, most):
+        for index in (with_target[place] for place in evenly(len(with_target), most)):
             try:
                 if self.readable(index) and self.usable(index, 0, points=True)[0] == index:
                     indices.append(index)
@@ -203,7 +200,8 @@ class TrainingData:
                 first_time = name not in self.unusable
                 self.unusable[name] = str(error)
                 self._bad.add(key)
-            if first_time and len(self.unusable) <= MOST_WARNINGS:
+            # The first ten are named in warnings; the command counts all of them.
+            if first_time and len(self.unusable) <= 10:
                 warnings.warn(f"{error}; left out", stacklevel=3)
             return None
 
@@ -216,12 +214,6 @@ class TrainingData:
 
 def _as_bytes(values: Floats) -> Any:
     return np.rint(values * 255.0).astype(np.uint8)
-
-
-def _spread(indices: Sequence[int], most: int) -> list[int]:
-    """At most ``most`` of ``indices``, evenly from the first to the last."""
-    places = np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int)
-    return [indices[place] for place in np.unique(places)]
 
 
 def _require_perspective(name: str, camera: Camera) -> None:

@@ -29,8 +29,6 @@ from .processes import Processes
 from .state import TrainingState, new_state
 from .step import Objective, batch_loss, draw_step, predict
 
-# Most objects that are evaluated at the end of a training; thousands would take minutes.
-EVALUATED_OBJECTS = 256
 Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
 
@@ -235,17 +233,13 @@ def prefetched(
 
 
 def evaluate(
-    network: BaseNetwork,
-    data: TrainingData,
-    frame: str,
-    views: int = 4,
-    most: int = EVALUATED_OBJECTS,
+    network: BaseNetwork, data: TrainingData, frame: str, views: int = 4, most: int = 256
 ) -> tuple[float, float, int]:
     """Mean forward and backward Chamfer distance of predictions to targets, and number of objects.
 
     Distances are squared, mean over points, in the scale of ``data``. The means are taken over the
-    first ``views`` views of at most ``most`` objects, spread evenly over the objects with a 3D
-    file; they are NaN without any.
+    first ``views`` views of at most ``most`` objects (thousands would take minutes), spread evenly
+    over the objects with a 3D file; they are NaN without any.
     """
     distances = []
     device = next(network.parameters()).device

@@ -21,10 +21,6 @@ from ..io.shipped import CATEGORIES, examples_folder
 from ..render import RenderedView, RenderSettings, render_mesh
 from .data import TrainingData
 
-# Number of pictures of each shipped mesh, and their side in pixels. After the crop they have about
-# the size of the network's input.
-EXAMPLE_VIEWS, EXAMPLE_SIZE = 32, 96
-
 
 def from_meshes(
     meshes: Sequence[Path],
@@ -32,14 +28,15 @@ def from_meshes(
     crop_share: float = 0.9,
     background: str = "black",
     progress: Callable[[int, int, str], None] | None = None,
-    views: int = EXAMPLE_VIEWS,
+    views: int = 32,
 ) -> TrainingData:
     """Meshes rendered in memory; the pictures of a mesh depend only on its place in the list.
 
     With a ``crop_share`` of 0 the meshes get a unit diagonal, like ShapeNet's models, so that the
     pictures show sizes.
     """
-    settings = RenderSettings(views=views, size=(EXAMPLE_SIZE, EXAMPLE_SIZE))
+    # After the crop the pictures have about the size of the network's input.
+    settings = RenderSettings(views=views, size=(96, 96))
     objects = []
     for number, path in enumerate(meshes):
         rendered = render_mesh(read_mesh(path), settings, np.random.default_rng([0, number]))

@@ -17,9 +17,6 @@ from .processes import Processes
 from .state import TrainingState
 from .step import batch_loss, draw_step, predict
 
-# Rounds of measurements; the result is their median.
-ROUNDS = 5
-
 
 def images_per_second(
     state: TrainingState,
@@ -62,19 +59,19 @@ def images_per_second(
             torch.cuda.synchronize(device)
         return time.perf_counter() - start
 
-    drawn = [draw(step) for step in range(ROUNDS + 1)]
+    rounds = 1 + 5  # the first warms up, the result is the median of the others
+    drawn = [draw(step) for step in range(rounds)]
     rows = [
         (seconds(bare_passes, batches), seconds(lambda i: passes(draw(i)), step))
         for step, batches in enumerate(drawn)
     ]
     waits = []
-    with closing(prefetched(draw, 0, ROUNDS + 1, config.workers)) as upcoming:
-        for _ in range(ROUNDS + 1):
+    with closing(prefetched(draw, 0, rounds, config.workers)) as upcoming:
+        for _ in range(rounds):
             start = time.perf_counter()
             batches = next(upcoming)
             waits.append((time.perf_counter() - start, seconds(passes, batches)))
     network.zero_grad(set_to_none=True)
-    # The first round warms up.
     bare, step = (median(column) for column in zip(*rows[1:], strict=True))
     waiting, working = (sum(column) for column in zip(*waits[1:], strict=True))
     return {

@@ -29,8 +29,6 @@ from .losses import AffinitySchedule
 MOMENTS = ("exp_avg", "exp_avg_sq")
 # For each step: loss, its two terms (forward and backward, or BCE and affinity), lambda.
 History = list[tuple[float, float, float, float]]
-# After this many steps the running mean of the weights has a decay of a half.
-STEPS_TO_FORGET = 9.0
 
 
 @dataclass(eq=False)
@@ -64,9 +62,9 @@ class TrainingState:
             weights = [parameter.detach() for parameter in self.network.parameters()]
             if not self.average:
                 self.average = [weight.clone() for weight in weights]
-            # The decay is smaller in the first steps, so that the random initial weights are
-            # forgotten.
-            decay = min(decay, self.step / (self.step + STEPS_TO_FORGET))
+            # The decay is smaller in the first steps (a half after nine), so that the random
+            # initial weights are forgotten.
+            decay = min(decay, self.step / (self.step + 9.0))
             torch._foreach_lerp_(self.average, weights, 1.0 - decay)
 
     def averaged(self) -> BaseNetwork:
