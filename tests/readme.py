@@ -284,9 +284,9 @@ def flagged() -> str:
         f"- the camera is turned by {yaw} degrees of yaw, moved {aside} % sideways, "
         f"or {distance} times as far away.\n\n"
         f"*Works* means that at most {100 * FEW:.0f} % of the clouds get worse by over 5 %.\n"
-        "Each change has levels from harmless to hopeless. Among the harder half of the levels, tso\n"
-        f"warned of {shares[0]} of the results that got worse by over 5 % when the mask was wrong,\n"
-        f"{shares[1]} for the camera, and {shares[2]} for the cloud."
+        "Each change has levels from harmless to hopeless. Among the harder half of the levels,\n"
+        f"tso warned of {shares[0]} of the results worse by over 5 % when the mask was wrong.\n"
+        f"It warned of {shares[1]} for the camera, and of {shares[2]} for the cloud."
     )
 
 
