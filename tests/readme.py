@@ -275,18 +275,18 @@ def flagged() -> str:
         )
     )
     shares = [
-        f"{100 * halves[group]['flagged'] / halves[group]['hopeless_worse']:.0f} % ({group})"
+        f"{100 * halves[group]['flagged'] / halves[group]['hopeless_worse']:.0f} %"
         for group in ("mask", "camera", "cloud")
     ]
     return (
         "Refining still works up to these errors, each of them alone:\n\n"
-        f"- the mask is dilated by {dilated} %, or shifted by {shifted} % of the object's size;\n"
+        f"- the mask is dilated by {dilated} %, or shifted by {shifted} %, of the object's size;\n"
         f"- the camera is turned by {yaw} degrees of yaw, moved {aside} % sideways, "
         f"or {distance} times as far away.\n\n"
-        f"*Works* means that at most {100 * FEW:.0f} % of the clouds get worse by more than 5 %.\n"
-        "Each change has levels from harmless to hopeless. In the second half of the levels, tso\n"
-        "warns of these shares of the results that got worse, by what was wrong:\n"
-        f"{', '.join(shares)}."
+        f"*Works* means that at most {100 * FEW:.0f} % of the clouds get worse by over 5 %.\n"
+        "Each change has levels from harmless to hopeless. Among the harder half of the levels,\n"
+        f"tso warned of {shares[0]} of the results worse by over 5 % when the mask was wrong.\n"
+        f"It warned of {shares[1]} for the camera, and of {shares[2]} for the cloud."
     )
 
 
