@@ -36,7 +36,6 @@ from .ways import (
     STARTS,
     WAYS,
     Way,
-    way_of,
 )
 
 SHIPPED_SPLIT = Path(__file__).with_name("shipped_split.json")
@@ -145,7 +144,7 @@ def _summary(cases: Cases) -> Record:
         figures |= {"standard_error": standard_error(of_shapes)}
         figures |= {"median_seconds": float(np.median([row["seconds"] for row in rows]))}
         ways[name] = rounded(figures)
-    one_mask = [name for name in ways if way_of(name).masks == 1]
+    one_mask = [name for name in ways if WAYS[name].masks == 1]
     places = [(ways[name]["median_seconds"], ways[name]["mean_ratio"]) for name in one_mask]
     chosen = [one_mask[i] for i in front(places)]
     return {"cases": len(cases), "shapes": len(by_shape), "ways": ways, "front": chosen}

@@ -26,7 +26,7 @@ from .timing import Setting
 
 # What is measured -> the module here whose function `measure_NAME` does it.
 PARTS = {
-    **dict.fromkeys(("command", "object", "batch", "phases", "large"), "refining"),
+    **dict.fromkeys(("command", "object", "batch", "large"), "refining"),
     **dict.fromkeys(("silhouette", "chamfer"), "kernels"),
 }
 CONVENTION = {
@@ -37,8 +37,6 @@ CONVENTION = {
     "a mesh with many faces",
     "object": "`refine` in process, one chair, masks of 256x256; after the first call; threads: in "
     "the form of the loops that tso chooses",
-    "phases": "of the default, in a process of its own, by the run's own clock: the median of "
-    "later calls, the first call, and the peak of its memory; compiled as in a batch",
     "batch": "seconds of a call over the objects in it",
     "busy neighbour": "for each core a process that spins",
     "silhouette": "from projected points to the gradient by them of sums and cross-entropy, one "
@@ -225,9 +223,9 @@ def _kernels(chosen: Chosen) -> Claims:
 STUDY = Study(
     name="speed",
     about="command: whole processes; large: of large files; object: `refine` with one to four "
-    "views, and on all cores; phases: where its time goes; batch: many objects in one call, on one "
-    "core and on all; silhouette, chamfer: the losses. Contestants for the same work take turns on "
-    "the CPU; all of it takes about ten minutes.",
+    "views, and on all cores; batch: many objects in one call, on one core and on all; silhouette, "
+    "chamfer: the losses. Contestants for the same work take turns on the CPU; all of it takes "
+    "about ten minutes.",
     parts=("points, paper", "points, best"),
     tables=tables,
     draw=draw,

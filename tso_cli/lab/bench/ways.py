@@ -93,8 +93,3 @@ WAYS: dict[str, Way] = {
     **{name: Way(peer) for name, peer in PEERS.items()},
 }
 """What is compared; one line more is one point more on the chart."""
-
-
-def way_of(name: str) -> Way:
-    """The way of that name; an older record may hold ways that are gone, all with one mask."""
-    return WAYS.get(name, Way(Variant()))

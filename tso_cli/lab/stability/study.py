@@ -48,11 +48,8 @@ CONVENTION = {
     "warns": "a warning, a doubtful verdict or a refusal in at least half of the runs, at this "
     "level and at all harder ones that fail",
     "said": "of each run: - nothing, w a warning, d doubtful, r refused, n not finite",
-    "took": "seconds; moved: mean over the points, longest sides",
-    "runs": "all seeds of the first case, of the second, ...; null: none; verdict: first letter of "
-    "the result's, if it has one",
-    "p95, worst, worse, silent": "of the runs that were not refused; shares of all runs: over "
-    f"{WORSE}, and over it without a warning",
+    "runs": "all seeds of the first case, of the second, ...; null: none",
+    "worse, silent": f"shares of all runs: over {WORSE}, and over it without a warning",
 }
 
 
@@ -181,25 +178,16 @@ def conclude(cases: Cases) -> Record:
 
 
 def _halves(rows: Cases) -> Record:
-    """Of axes with several levels: axes, axes with a worse run in the harmless half.
-
-    And of the hopeless half: worse runs, and how many of them are flagged.
-    """
-    axes = worse_axes = worse = flagged = 0
-    for of_axis in grouped(rows, "axis").values():
-        if len(of_axis) > 1:
-            middle = len(of_axis) // 2
-            axes += 1
-            worse_axes += any(_worse(row) for row in of_axis[:middle])
-            words = [word for row in of_axis[middle:] for word in _worse(row)]
-            worse, flagged = worse + len(words), flagged + sum(word != SILENT for word in words)
-    return {"axes": axes, "harmless_worse": worse_axes, "hopeless_worse": worse, "flagged": flagged}
-
-
-def _worse(row: Record) -> list[str]:
-    """What tso said of each run that got worse."""
-    pairs = zip(row["ratio"], row["said"], strict=True)
-    return [word for ratio, word in pairs if got_worse(ratio, word)]
+    """Of the hopeless halves of axes: the runs that got worse, and how many of them are flagged."""
+    words = [
+        word
+        for of_axis in grouped(rows, "axis").values()
+        if len(of_axis) > 1
+        for row in of_axis[len(of_axis) // 2 :]
+        for ratio, word in zip(row["ratio"], row["said"], strict=True)
+        if got_worse(ratio, word)
+    ]
+    return {"hopeless_worse": len(words), "flagged": sum(word != SILENT for word in words)}
 
 
 def tables(record: Record) -> list[Table]:
@@ -213,16 +201,20 @@ def tables(record: Record) -> list[Table]:
         for way, of_way in knees.items()
         if name in of_way
     ]
-    halves = [[group, *row.values()] for group, row in record["halves"].items()]
+    halves = [
+        [group, row["hopeless_worse"], row["flagged"]] for group, row in record["halves"].items()
+    ]
     columns = ["harmless up to", "tso warns from", "fails from", "worst", "worse, no warning"]
-    of_halves = ["wrong is", "axes", "with a worse run in the harmless half"]
-    of_halves += ["worse runs in the other half", "flagged"]
     note = "worst: largest median ratio of a level; worse, no warning: share of the axis's runs; "
     note += "every run is in the JSON file"
     return [
         Table(["", "axis", *columns], axes, "Default preset", note, decimals=2),
         Table(["by", "axis", *columns], compared, "Other ways", decimals=2),
-        Table(of_halves, halves, "Warnings of the default preset"),
+        Table(
+            ["wrong is", "worse runs in the hopeless half of the levels", "flagged"],
+            halves,
+            "Warnings of the default preset",
+        ),
     ]
 
 
