@@ -45,7 +45,6 @@ SPLIT = Option("--split", "JSON file or folder of lists.  [default: the shipped 
 CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
 LIMIT = Option("--limit", "At most N shapes of each category.", int, least=1)
 SEED = Option("--seed", "Seed of everything random.", int, 0, least=0, most=2**63 - 1)
-DEVICE = Option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu")
 COMMON = (MESHES, SPLIT, LIMIT, SEED)
 
 

@@ -43,7 +43,7 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
     """Ratio against seconds, a panel for each start."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    # Predictions gain little: with several masks on the axis, the modes could not be told apart.
+    # Predictions gain little: with several masks on the axis, the modes would fall together.
     panels: Record = {}
     for kind, group in record["summary"].items():
         ways = {

@@ -60,8 +60,6 @@ LARGE, CORES = 262_144, os.cpu_count() or 1
 BATCHES = {
     ("best", 1024, 1): (16, 64, 512),
     ("paper", 1024, 1): (16, 64),
-    ("best", 16384, 1): (16,),
-    **{("best", 1024, views): (16,) for views in MORE_VIEWS},
 }
 WITH_NEIGHBOUR, DIFFERENT = 64, 16
 """The batch that is also timed with a busy neighbour; the clouds of a batch that differ."""
@@ -212,15 +210,12 @@ def measure_batch(
     batches: Mapping[tuple[str, int, int], Sequence[int]] = BATCHES,
     steps: int | None = None,
 ) -> Cases:
-    """Seconds an object of `refine`, and of `refine_batch` in one process and on all cores."""
+    """Seconds an object of `refine_batch` in one process and on all cores."""
     contestants = [IMPORT_TORCH]
     for (preset, points, views), sizes in batches.items():
         config, seen = RefineConfig(preset=preset, steps=steps), chair_views(views)
         scenes = [(cloud(points, setting.seed + number), seen) for number in range(DIFFERENT)]
         scene = {"preset": preset, "points": points, "views": views}
-        fields = scene | {"batch": 1, "processes": 1, "busy": False}
-        alone = on_cores(timed(partial(refine, *scenes[0], config=config)), 1)
-        contestants.append(Contestant("refine", alone, fields))
         for size, count, busy in product(sizes, sorted({1, CORES}), (False, True)):
             if not busy or size == WITH_NEIGHBOUR:
                 several = [scenes[number % DIFFERENT] for number in range(size)]
@@ -228,12 +223,7 @@ def measure_batch(
                 fields = scene | {"batch": size, "processes": count, "busy": busy}
                 name = f"refine_batch of {size}" + (", busy neighbour" if busy else "")
                 contestants.append(Contestant(name, sample, fields, size, size <= WITH_NEIGHBOUR))
-    records = setting.race("batch", contestants, "over_import_torch")
-    of_one = records[0]
-    for row in records[1:]:
-        of_one = row if row["name"] == "refine" else of_one
-        row["over_refine"] = row["seconds"]["median"] / of_one["seconds"]["median"]
-    return records
+    return setting.race("batch", contestants, "over_import_torch")
 
 
 def _refine_all(scenes: list, config: RefineConfig) -> None:

@@ -49,7 +49,7 @@ def tables(record: Record) -> list[Table]:
     objects = _pivot(of("object", "preset"), lambda r: _over(r, r["over_import_torch"]))
     batches = _pivot(
         of("batch", "preset"),
-        lambda r: f"{_ms(r)} ({r['over_import_torch']:.3f}x, {r['over_refine']:.2f}x)",
+        lambda r: f"{_ms(r)} ({r['over_import_torch']:.3f}x)",
         lambda r: f"{r['preset']}, {_size(r)}: {r['name']}",
         lambda r: f"processes: {r['processes']}",
     )
@@ -58,7 +58,7 @@ def tables(record: Record) -> list[Table]:
         Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
         Table(large_header, large, "large files, whole processes"),
         _table("one object: ms (x `import torch`)", objects),
-        _table("many objects: ms each (x `import torch`, x one `refine`)", batches),
+        _table("many objects: ms each (x `import torch`)", batches),
         *(
             _table(
                 f"{title}, value and gradient: ms (x tso's)",

@@ -29,7 +29,7 @@ BLOCK = 2e-3
 MOST_RUNS, LEAST_RUNS = 200, 3
 FAR_OVER = 30.0
 """Work that takes this many times the budget is done once."""
-# Form of the loops -> the work that `planned` is told of: none, or so much that compiling pays.
+# Form of the loops -> the work that `planned` gets: none, or so much work that compiling pays.
 FORMS = {"compiled": 1 << 60, "numpy": 0}
 
 

@@ -51,9 +51,9 @@ class Way:
     def masks(self) -> int:
         return self.run.masks if isinstance(self.run, Variant) else 1
 
-    def refined(self, case: Case, device: str, network: BaseNetwork | None) -> Array:
+    def refined(self, case: Case, network: BaseNetwork | None) -> Array:
         if isinstance(self.run, Variant):
-            return alone(case, self.run, device, network).points
+            return alone(case, self.run, network).points
         return self.run(case.initial, case.views[:1])
 
 

@@ -146,7 +146,7 @@ def refine_rows(name: str, question: Question, cases: list[tuple[Case, Truth]], 
             changed = alter(case, truth, np.random.default_rng(key))
             if changed is not None:
                 altered.append((number, changed))
-        results = refined([case for _, case in altered], variant, "cpu", None) if altered else []
+        results = refined([case for _, case in altered], variant) if altered else []
         for (number, case), result in zip(altered, results, strict=True):
             row = {
                 "before": chamfer(case.initial, case.target).chamfer,

@@ -204,7 +204,7 @@ OPTIONS = (
     Option("--batch-size", kind=int, default=8, least=1),
     Option("--limit", "Training shapes of a category.", int, 32, least=1),
     options.SEED,
-    options.DEVICE,
+    Option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu"),
 )
 
 
