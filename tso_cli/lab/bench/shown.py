@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from ...plots.table import Cell
 from ..charts import digits, draw_bars
-from ..study import Cases, Record, Table
+from ..study import Cases, Record, Table, crossed
 
 Label = Callable[[Record], str]
 Value = TypeVar("Value", str, float)
@@ -57,12 +56,12 @@ def tables(record: Record) -> list[Table]:
     measured = [
         Table(["", "median", "low", "high", "x `import torch`"], commands, "whole processes: s"),
         Table(large_header, large, "large files, whole processes"),
-        _table("one object: ms (x `import torch`)", objects),
-        _table("many objects: ms each (x `import torch`)", batches),
+        crossed(objects, title="one object: ms (x `import torch`)"),
+        crossed(batches, title="many objects: ms each (x `import torch`)"),
         *(
-            _table(
-                f"{title}, value and gradient: ms (x tso's)",
+            crossed(
                 _pivot(of(what), lambda r: _over(r, r["over_tso"])),
+                title=f"{title}, value and gradient: ms (x tso's)",
             )
             for what, title in losses.items()
         ),
@@ -96,12 +95,6 @@ def _pivot(
     for record in records:
         cells.setdefault(row(record), {})[column(record)] = cell(record)
     return cells
-
-
-def _table(title: str, cells: Mapping[str, Mapping[str, Cell]]) -> Table:
-    columns = list(dict.fromkeys(label for values in cells.values() for label in values))
-    rows = [[label, *map(values.get, columns)] for label, values in cells.items()]
-    return Table(["", *columns], rows, title)
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:

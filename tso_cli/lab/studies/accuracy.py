@@ -127,9 +127,8 @@ def refine_cases(
     """Refine cases of one kind and category with every variant."""
     records: Cases = []
     for case in cases:
-        names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view")}
         before = rounded({**_distances(case.initial, case), "floor": case.floor})
-        records.append({**names, "before": before, "variants": {}})
+        records.append({**case.names, "before": before, "variants": {}})
     for name, variant in variants.items():
         results = refined(cases, variant, network)
         for case, record, result in zip(cases, records, results, strict=True):
@@ -316,6 +315,7 @@ def tables(record: Record) -> list[Table]:
 
 CELLS = "mean of Chamfer after / before (number of cases that got worse, worst ratio); floor: the "
 CELLS += "ratio of another sampling of the truth"
+LAST_ROWS = ("floor", "start, Chamfer x1000", "cases")
 
 
 def _of_categories(summary: Record) -> Table:
@@ -329,22 +329,20 @@ def _of_categories(summary: Record) -> Table:
 
 def _rows(groups: dict[str, Record | None]) -> list[list[str | None]]:
     """Rows of variants, then of the start; a column for each of ``groups``."""
-    known = [group for group in groups.values() if group]
-    names = dict.fromkeys(name for group in known for name in group["variants"])
+    cells = {key: _cells(group) if group else {} for key, group in groups.items()}
+    names = dict.fromkeys(name for column in cells.values() for name in column)
+    return [
+        [name, *(column.get(name) for column in cells.values())]
+        for name in sorted(names, key=LAST_ROWS.__contains__)
+    ]
 
-    def row(label: str, cell: Callable[[Record], str | None]) -> list[str | None]:
-        return [label, *(cell(group) if group else None for group in groups.values())]
 
-    def ratios(group: Record, name: str) -> str | None:
-        figures = group["variants"].get(name)
-        return figures and "{mean_ratio:.2f} ({worse}, {worst_ratio:.2f})".format_map(figures)
-
-    rows = [row(name, partial(ratios, name=name)) for name in names]
-    rows.append(row("floor", lambda group: f"{group['before']['floor_ratio']:.2f}"))
-    rows.append(
-        row("start, Chamfer x1000", lambda group: f"{1e3 * group['before']['chamfer']:.1f}")
-    )
-    return [*rows, row("cases", lambda group: str(group["cases"]))]
+def _cells(group: Record) -> dict[str, str]:
+    ratios = "{mean_ratio:.2f} ({worse}, {worst_ratio:.2f})"
+    before, variants = group["before"], group["variants"].items()
+    last = f"{before['floor_ratio']:.2f}", f"{1e3 * before['chamfer']:.1f}", str(group["cases"])
+    cells = {name: ratios.format_map(figures) for name, figures in variants}
+    return cells | dict(zip(LAST_ROWS, last, strict=True))
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:

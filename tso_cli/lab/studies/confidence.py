@@ -223,7 +223,6 @@ def conclude(cases: Cases) -> Record:
     """AUC, and how many are flagged, by group of alterations; reliability; claims."""
     both = [case for case in cases if case["group"] in ("camera", "mask")]
     chosen = {"all": cases, "camera and mask": both, **grouped(cases, "group")}
-    chosen |= {f"{name}, any": rows for name, rows in grouped(cases, "category").items()}
     chosen["right scenes"] = [case for case in cases if case["axis"] == UNALTERED.name]
     summary = {name: _figures(rows) for name, rows in chosen.items() if refined(rows)}
     return {"summary": summary, "reliability": _reliability(cases), "claims": claims(summary)}

@@ -133,11 +133,7 @@ def refine_rows(name: str, question: Question, cases: list[tuple[Case, Truth]], 
 
     Where a case cannot be altered as a row asks, the row is left out of it.
     """
-    keys = ("kind", "category", "shape", "view")
-    records: Cases = [
-        {"question": name, **{key: getattr(case, key) for key in keys}, "rows": {}}
-        for case, _ in cases
-    ]
+    records: Cases = [{"question": name, **case.names, "rows": {}} for case, _ in cases]
     for label, (alter, variant) in question.rows.items():
         altered = []
         for number, (case, truth) in enumerate(cases):

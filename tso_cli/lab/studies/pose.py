@@ -66,13 +66,12 @@ def fit_case(case: Case) -> Cases:
     if case.kind == "other":
         focal = PRIOR * CANONICAL_FOCAL_AT_64 / 64.0 * view.camera.width
         clouds |= {TRUE: (case.target, None), WRONG_PRIOR: (case.target, focal)}
-    names = {"category": case.category, "shape": case.shape, "view": case.view}
     rows = []
     for name, (cloud, focal_prior) in clouds.items():
         start = time.perf_counter()
         fitted = fit_camera(cloud, view.mask, focal=focal_prior)
         seconds = time.perf_counter() - start
-        rows.append({"cloud": name, **names, **figures(case, fitted), "seconds": seconds})
+        rows.append({"cloud": name, **case.names, **figures(case, fitted), "seconds": seconds})
     return [rounded(row) for row in rows]
 
 
