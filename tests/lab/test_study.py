@@ -256,7 +256,12 @@ COMMANDS = {
     "confidence": Command(
         (*CARS, *CHAIRS, "--views", 1, "--alterations", 2), 9, ("Reliability", "right scenes")
     ),
-    "pareto": Command(("--quick",), 2, ("prediction: 3 shapes",), {"ways": QUICK_WAYS}),
+    "pareto": Command(
+        ("--limit", 1),
+        2,
+        ("prediction: 2 shapes",),
+        {"ways": QUICK_WAYS, "categories": ("car", "airplane")},
+    ),
     "stability": Command(
         ("--quick", *PICTURES),
         3,

@@ -12,11 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from ...evaluation.metrics import chamfer
 from ...geometry.points import Array
-from ...io.shipped import default_checkpoint, examples_folder
+from ...io.shipped import default_checkpoint
 from ...network.model import BaseNetwork
 from ...refinement.api import compile_loops
 from .. import options
-from ..options import Option
 from ..stability.peers import PEERS
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import Case, CaseBuilder, kinds_of
@@ -37,7 +36,6 @@ from .ways import (
     Way,
 )
 
-SHIPPED_SPLIT = Path(__file__).with_name("shipped_split.json")
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' ratios; squared distances, mean "
     "over points, both directions added, longest side 1, to as many target points",
@@ -55,25 +53,21 @@ CONVENTION = {
 def plan(
     progress: Progress,
     *,
-    quick: bool,
-    meshes: Path | None,
+    meshes: Path,
     split: Path | None,
     limit: int | None,
     seed: int,
+    categories: Sequence[str] = CATEGORIES,
     ways: Mapping[str, Way] = WAYS,
 ) -> Plan:
     """Refine every case in every way, one call after the other.
 
-    A job is one shape, so that a busy time slows all ways alike. Raises InputError without
-    ``meshes``, unless ``quick``.
+    A job is one shape, so that a busy time slows all ways alike.
     """
-    if quick:
-        meshes, split = examples_folder() / "meshes", SHIPPED_SPLIT
-    meshes = options.given_meshes(meshes)
-    shapes = shapes_of_part(meshes, split, "test", () if quick else CATEGORIES, limit)
+    shapes = shapes_of_part(meshes, split, "test", categories, limit)
     network, about = view_aligned_network(default_checkpoint())
     builder = CaseBuilder(meshes, split, 1, 64, 1024, seed, network, about)
-    settings: Record = {"quick": quick, "limit": limit, "seed": seed, "machine": machine()}
+    settings: Record = {"limit": limit, "seed": seed, "machine": machine()}
     settings |= {"shapes": [shape.name for shape in shapes], "ways": list(ways)}
     settings |= {"network": weights_hash(network)}
     compile_loops()
@@ -206,13 +200,7 @@ STUDY = Study(
     "not a setting but more input; they bring more than any setting. Modes of the network start "
     "from its prediction, so the two panels are not to be mixed.",
     convention=CONVENTION,
-    options=(
-        Option("--quick", "The shipped examples.", bool, False),
-        options.QUICK_MESHES,
-        options.SPLIT,
-        options.LIMIT,
-        options.SEED,
-    ),
+    options=options.COMMON,
     plan=plan,
     conclude=conclude,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from textwrap import fill
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import InputError
 from ...io.clouds import read_cloud
 from ...io.shipped import examples_folder
 from ...refinement import RefineConfig
@@ -84,8 +86,9 @@ def plan(
     """
     if quick:
         names, cases_of, seeds = ["chair", "car", "airplane"], example_cases, [seed]
+    elif meshes is None:
+        raise InputError("--meshes is missing, expected a folder of meshes, or --quick")
     else:
-        meshes = options.given_meshes(meshes)
         shapes = shapes_of_part(meshes, split, "test", CATEGORIES, SHAPES)
         builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, seed)
         names, seeds = [shape.name for shape in shapes], [seed, seed + 1]
@@ -246,7 +249,7 @@ STUDY = Study(
     convention=CONVENTION,
     options=(
         Option("--quick", "Shipped examples, every second level, one seed.", bool, False),
-        options.QUICK_MESHES,
+        replace(options.MESHES, required=False),
         options.SPLIT,
         options.SEED,
         options.pictures("the results that are worst without a warning"),
