@@ -36,7 +36,9 @@ class Option:
         return self.name or self.flag.removeprefix("--").replace("-", "_")
 
 
-MESHES = Option("--meshes", "Folder with CATEGORY/NAME for every name.", Path, required=True)
+MESHES = Option(
+    "--meshes", "Folder with CATEGORY/NAME for every name of the split.", Path, required=True
+)
 SPLIT = Option("--split", "JSON file or folder of lists.  [default: the shipped network's]", Path)
 CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
 LIMIT = Option("--limit", "At most N shapes of each category.", int, least=1)

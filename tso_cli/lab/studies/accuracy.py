@@ -378,7 +378,7 @@ STUDY = Study(
         options.categories(*CATEGORIES),
         options.views(2),
         Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
-        Option("--sizes", f"Compare {'; '.join(SCALES)}, starts from other.", bool, False),
+        Option("--sizes", f"Compare {'; '.join(SCALES)}.  Kind other alone.", bool, False),
         options.pictures("the worst and the median case of each category"),
     ),
     plan=plan,
