@@ -42,7 +42,6 @@ def measured():
             *refining.measure_command(SETTING),
             *refining.measure_object(SETTING, (64,), 128, steps=1),
             *refining.measure_batch(SETTING, batches, steps=1),
-            *refining.measure_phases(SETTING, (64,), ()),
             *kernels.measure_silhouette(SETTING, KERNELS["silhouette"]),
             *kernels.measure_chamfer(SETTING, KERNELS["chamfer"]),
         ]
@@ -56,7 +55,7 @@ def test_every_part_has_records_of_one_form_with_a_ratio_to_its_first_contestant
     for row in json.loads(json.dumps(measured)):
         assert set(row) >= {"what", "name", "points", "side", "seconds", "runs"}
         assert row["seconds"]["median"] > 0.0
-        assert {"over_import_torch", "over_tso", "phases"} & set(row)
+        assert {"over_import_torch", "over_tso"} & set(row)
 
 
 def of(measured, what):
@@ -65,15 +64,11 @@ def of(measured, what):
 
 def test_batches_run_in_one_process_and_on_all_cores_and_one_size_with_a_busy_neighbour(measured):
     rows = of(measured, "batch")
-    alone = {row["views"]: row["seconds"]["median"] for row in rows if row["name"] == "refine"}
-    batches = [row for row in rows if row["name"] != "refine"]
     keys = ("preset", "views", "batch", "processes", "busy")
     expected = {("paper", 1, 2, count, busy) for count in (1, 2) for busy in (False, True)}
     expected |= {("paper", 1, 3, count, False) for count in (1, 2)}
     expected |= {("best", 2, 3, count, False) for count in (1, 2)}
-    assert {tuple(row[key] for key in keys) for row in batches} == expected
-    for row in batches:
-        assert row["over_refine"] == pytest.approx(row["seconds"]["median"] / alone[row["views"]])
+    assert {tuple(row[key] for key in keys) for row in rows} == expected
 
 
 def test_one_object_runs_in_both_forms_and_in_its_own_on_one_thread_and_on_all_cores(measured):
@@ -84,15 +79,6 @@ def test_one_object_runs_in_both_forms_and_in_its_own_on_one_thread_and_on_all_c
     chosen = [(row["points"], row["threads"], row["busy"]) for row in rows if row["form"] == ""]
     places = [(threads, busy) for threads in (1, 2) for busy in (False, True)]
     assert chosen == [(points, *place) for points in (64, 128) for place in places]
-
-
-def test_the_phases_of_the_default_are_those_of_its_own_clock(measured):
-    rows = of(measured, "phases")
-    assert [row["form"] for row in rows] == ["", "compiled"]
-    for row in rows:
-        assert set(row["phases"]) >= {"prepare", "optimise", "judge"}
-        assert min(row["first"], *row["phases"].values()) > 0.0
-        assert row["peak_MiB"] is None or row["peak_MiB"] > 10
 
 
 OBJECT = {"preset": "best", "points": 1024, "views": 1, "form": "", "over_import_torch": 1.0}

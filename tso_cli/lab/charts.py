@@ -30,7 +30,7 @@ SIDES = {
 }
 
 
-def draw_bars(path: Path, panels: Rows, overwrite: bool = False) -> None:
+def draw_bars(path: Path, panels: Rows, overwrite: bool = False, log: bool = False) -> None:
     """One panel below the other, a group of bars for each row.
 
     Raises InputError if ``path`` cannot be written to.
@@ -53,13 +53,19 @@ def draw_bars(path: Path, panels: Rows, overwrite: bool = False) -> None:
                 places = np.arange(len(rows)) + (j - (len(labels) - 1) / 2) * height
                 values = np.array([row.get(label) for row in rows.values()], dtype=float)
                 bars = axis.barh(places, values, 0.9 * height, color=colours[j], label=label)
-                texts = ["" if np.isnan(value) else f"{value:.3g}" for value in values]
+                texts = ["" if np.isnan(value) else digits(value) for value in values]
                 axis.bar_label(bars, texts, fontsize=7, padding=3)
             axis.set_yticks(range(len(rows)), list(rows), fontsize=8)
             axis.invert_yaxis()
             axis.margins(x=0.1)
+            axis.set_xscale("log" if log else "linear")
             axis.set_title(title, fontsize=9)
             axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+
+
+def digits(value: float) -> str:
+    """Three digits, without powers of ten."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
 @dataclass(frozen=True)

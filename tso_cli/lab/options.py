@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
-
 
 @dataclass(frozen=True)
 class Option:
@@ -38,23 +36,14 @@ class Option:
         return self.name or self.flag.removeprefix("--").replace("-", "_")
 
 
-MESHES_HELP = "Folder with CATEGORY/NAME for every name of the split"
-MESHES = Option("--meshes", f"{MESHES_HELP}.", Path, required=True)
-QUICK_MESHES = Option("--meshes", f"{MESHES_HELP}; not with --quick.", Path)
+MESHES = Option(
+    "--meshes", "Folder with CATEGORY/NAME for every name of the split.", Path, required=True
+)
 SPLIT = Option("--split", "JSON file or folder of lists.  [default: the shipped network's]", Path)
 CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
 LIMIT = Option("--limit", "At most N shapes of each category.", int, least=1)
 SEED = Option("--seed", "Seed of everything random.", int, 0, least=0, most=2**63 - 1)
-DEVICE = Option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu")
 COMMON = (MESHES, SPLIT, LIMIT, SEED)
-
-
-def given_meshes(folder: Path | None) -> Path:
-    """The folder of `QUICK_MESHES`; InputError where it is missing."""
-    if folder is None:
-        expected = "expected a folder of meshes (or --quick, for the shipped examples)"
-        raise InputError(f"--meshes is missing, {expected}")
-    return folder
 
 
 def part(default: str, *choices: str) -> Option:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,6 +48,15 @@ class Table:
         lines[1] = ["---"] * len(self.header)
         table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
         return "\n\n".join(filter(None, (self.title and f"### {self.title}", table, self.note)))
+
+
+def crossed(
+    cells: Mapping[str, Mapping[str, Cell]], corner: str = "", title: str = "", **more: Any
+) -> Table:
+    """The table of ``cells``, label of a row -> label of a column -> cell."""
+    columns = list(dict.fromkeys(label for row in cells.values() for label in row))
+    rows = [[label, *map(row.get, columns)] for label, row in cells.items()]
+    return Table([corner, *columns], rows, title, **more)
 
 
 @dataclass(frozen=True, eq=False)

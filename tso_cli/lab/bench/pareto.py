@@ -6,18 +6,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ...evaluation.metrics import chamfer
 from ...geometry.points import Array
-from ...io.shipped import default_checkpoint, examples_folder
+from ...io.shipped import default_checkpoint
 from ...network.model import BaseNetwork
 from ...refinement.api import compile_loops
 from .. import options
-from ..options import Option
 from ..stability.peers import PEERS
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import Case, CaseBuilder, kinds_of
@@ -36,14 +34,12 @@ from .ways import (
     STARTS,
     WAYS,
     Way,
-    way_of,
 )
 
-SHIPPED_SPLIT = Path(__file__).with_name("shipped_split.json")
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' ratios; squared distances, mean "
     "over points, both directions added, longest side 1, to as many target points",
-    "standard error": "of the mean over shapes; views of one shape are averaged first",
+    "standard error": "of the mean over shapes",
     "seconds": "one call alone, after a warm-up, one thread, compiled loops (as for many objects "
     "in a process), without files; median over the cases",
     "front": "a way with one mask is on it if no other takes no longer and comes as near",
@@ -57,29 +53,23 @@ CONVENTION = {
 def plan(
     progress: Progress,
     *,
-    quick: bool,
-    meshes: Path | None,
+    meshes: Path,
     split: Path | None,
+    limit: int | None,
+    seed: int,
+    categories: Sequence[str] = CATEGORIES,
     ways: Mapping[str, Way] = WAYS,
-    **settings: Any,
 ) -> Plan:
     """Refine every case in every way, one call after the other.
 
-    A job is one shape, so that a busy time slows all ways alike. Raises InputError without
-    ``meshes``, unless ``quick``.
+    A job is one shape, so that a busy time slows all ways alike.
     """
-    if quick:
-        meshes, split = examples_folder() / "meshes", SHIPPED_SPLIT
-        settings |= {"part": "test", "categories": (), "views": 1}
-    meshes = options.given_meshes(meshes)
-    chosen = settings["part"], settings["categories"], settings["limit"]
-    shapes = shapes_of_part(meshes, split, *chosen)
+    shapes = shapes_of_part(meshes, split, "test", categories, limit)
     network, about = view_aligned_network(default_checkpoint())
-    views, seed = settings["views"], settings["seed"]
-    builder = CaseBuilder(meshes, split, views, 64, 1024, seed, network, about)
-    settings |= {"quick": quick, "categories": sorted({shape.category for shape in shapes})}
+    builder = CaseBuilder(meshes, split, 1, 64, 1024, seed, network, about)
+    settings: Record = {"limit": limit, "seed": seed, "machine": machine()}
     settings |= {"shapes": [shape.name for shape in shapes], "ways": list(ways)}
-    settings |= {"machine": machine(), "network": weights_hash(network)}
+    settings |= {"network": weights_hash(network)}
     compile_loops()
     warm = set[str]()
 
@@ -90,26 +80,24 @@ def plan(
             of_kind = {name: way for name, way in ways.items() if kind in way.kinds}
             scales = {(way.points, way.size) for way in of_kind.values()}
             built = {
-                (points, size): replace(builder, points=points, size=size).cases(shape, kind)
+                (points, size): replace(builder, points=points, size=size).cases(shape, kind)[0]
                 for points, size in scales
             }
-            for view in range(views):
-                rows = {}
-                for name, way in of_kind.items():
-                    case = built[way.points, way.size][view]
-                    for _ in range(1 if name in warm else 2):
-                        rows[name] = _timed(case, way, settings["device"], network)
-                    warm.add(name)
-                names = {"kind": kind, "category": shape.category, "shape": shape.name}
-                cases.append({**names, "view": view, "ways": rows})
+            rows = {}
+            for name, way in of_kind.items():
+                for _ in range(1 if name in warm else 2):
+                    rows[name] = _timed(built[way.points, way.size], way, network)
+                warm.add(name)
+            names = {"kind": kind, "category": shape.category, "shape": shape.name}
+            cases.append({**names, "ways": rows})
         return cases
 
     return Plan(settings, [({"shape": shape.name}, partial(measure, shape)) for shape in shapes])
 
 
-def _timed(case: Case, way: Way, device: str, network: BaseNetwork | None) -> Record:
+def _timed(case: Case, way: Way, network: BaseNetwork | None) -> Record:
     results: list[Array] = []
-    seconds = timed(lambda: results.append(way.refined(case, device, network)), "compiled")()
+    seconds = timed(lambda: results.append(way.refined(case, network)), "compiled")()
     before, after = (chamfer(points, case.target).chamfer for points in (case.initial, results[0]))
     return rounded({"ratio": after / before, "seconds": seconds})
 
@@ -128,27 +116,23 @@ def front(places: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def conclude(cases: Cases) -> Record:
-    """{"summary": {kind: {"cases", "shapes", "ways": {way: {...}}, "front": [...]}}, "claims"}."""
+    """{"summary": {kind: {"cases", "ways": {way: {...}}, "front": [...]}}, "claims"}."""
     summary = {kind: _summary(of_kind) for kind, of_kind in grouped(cases, "kind").items()}
     return {"summary": summary, "claims": [*_claims(summary)]}
 
 
 def _summary(cases: Cases) -> Record:
-    by_shape = grouped(cases, "shape").values()
     ways = {}
     for name in cases[0]["ways"]:
-        of_shapes = [
-            np.mean([case["ways"][name]["ratio"] for case in of_shape]) for of_shape in by_shape
-        ]
         rows = [case["ways"][name] for case in cases]
-        figures = ratio_figures(np.array([row["ratio"] for row in rows]))
-        figures |= {"standard_error": standard_error(of_shapes)}
+        ratios = np.array([row["ratio"] for row in rows])
+        figures = {**ratio_figures(ratios), "standard_error": standard_error(ratios)}
         figures |= {"median_seconds": float(np.median([row["seconds"] for row in rows]))}
         ways[name] = rounded(figures)
-    one_mask = [name for name in ways if way_of(name).masks == 1]
+    one_mask = [name for name in ways if WAYS[name].masks == 1]
     places = [(ways[name]["median_seconds"], ways[name]["mean_ratio"]) for name in one_mask]
     chosen = [one_mask[i] for i in front(places)]
-    return {"cases": len(cases), "shapes": len(by_shape), "ways": ways, "front": chosen}
+    return {"cases": len(cases), "ways": ways, "front": chosen}
 
 
 def _claims(summary: Record) -> Iterator[Record]:
@@ -191,10 +175,10 @@ def tables(record: Record) -> list[Table]:
             [name, *map(row.get, COLUMNS), "yes" if name in group["front"] else ""]
             for name, row in ordered
         ]
-        title = f"{STARTS[kind]}: {group['cases']} cases of {group['shapes']} shapes"
+        title = f"{STARTS[kind]}: {group['cases']} shapes"
         found.append(Table(["way", *COLUMNS.values(), "front"], rows, title))
-    of, device = record["settings"]["machine"], record["settings"]["device"]
-    found.append(Table(["measured on"], [[f"{of['cpu']}, {of['cores']} cores, device {device}"]]))
+    of = record["settings"]["machine"]
+    found.append(Table(["measured on"], [[f"{of['cpu']}, {of['cores']} cores"]]))
     return found
 
 
@@ -216,17 +200,7 @@ STUDY = Study(
     "not a setting but more input; they bring more than any setting. Modes of the network start "
     "from its prediction, so the two panels are not to be mixed.",
     convention=CONVENTION,
-    options=(
-        Option("--quick", "The shipped examples, one view.", bool, False),
-        options.QUICK_MESHES,
-        options.SPLIT,
-        options.part("test"),
-        options.categories(*CATEGORIES),
-        options.LIMIT,
-        options.views(1),
-        options.SEED,
-        options.DEVICE,
-    ),
+    options=options.COMMON,
     plan=plan,
     conclude=conclude,
 )

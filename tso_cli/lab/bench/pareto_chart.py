@@ -40,16 +40,16 @@ ACROSS, UP = {1: "left", 0: "center", -1: "right"}, {1: "bottom", 0: "center", -
 
 
 def draw(path: Path, record: Record, overwrite: bool) -> None:
-    """Ratio against seconds, a panel for each start; without ways that are gone."""
+    """Ratio against seconds, a panel for each start."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    # Predictions gain little: with several masks on the axis, the modes could not be told apart.
+    # Predictions gain little: with several masks on the axis, the modes would fall together.
     panels: Record = {}
     for kind, group in record["summary"].items():
         ways = {
             name: row
             for name, row in group["ways"].items()
-            if name in WAYS and (kind == CLOUD or WAYS[name].masks == 1)
+            if kind == CLOUD or WAYS[name].masks == 1
         }
         panels[kind] = {"ways": ways, "front": [name for name in group["front"] if name in ways]}
     with page(path, overwrite, (9.0, 5.8), dpi=100) as figure:

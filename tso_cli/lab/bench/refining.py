@@ -1,4 +1,4 @@
-"""Refinements: whole commands, large files, single objects, their phases and memory, batches.
+"""Refinements: whole commands, large files, single objects, batches.
 
 Imports no torch, whose memory is no part of a refinement's.
 """
@@ -11,11 +11,9 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import product
-from multiprocessing import get_context
 from pathlib import Path
 from unittest.mock import patch
 
@@ -33,7 +31,7 @@ from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...scene.load import load_points_scene
-from ..study import Cases, Record
+from ..study import Cases
 from ..views import views_around
 from .timing import (
     FORMS,
@@ -42,11 +40,8 @@ from .timing import (
     Sample,
     Setting,
     as_installed,
-    in_form,
     never_run,
-    peak_memory,
     process,
-    record,
     timed,
 )
 
@@ -61,14 +56,10 @@ MORE_VIEWS = (2, 4)
 """Numbers of views of the default preset, at the smallest size."""
 LARGE, CORES = 262_144, os.cpu_count() or 1
 """Points of the largest cloud, which the default alone refines."""
-RUNS = 3
-"""Calls after the first whose phases are measured."""
 # (preset, points, views) -> numbers of clouds in a batch.
 BATCHES = {
     ("best", 1024, 1): (16, 64, 512),
     ("paper", 1024, 1): (16, 64),
-    ("best", 16384, 1): (16,),
-    **{("best", 1024, views): (16,) for views in MORE_VIEWS},
 }
 WITH_NEIGHBOUR, DIFFERENT = 64, 16
 """The batch that is also timed with a busy neighbour; the clouds of a batch that differ."""
@@ -80,22 +71,8 @@ REFINE = (*TSO, "refine", "--mode", "points")
 WIDTH, HEIGHT = 4000, 3000
 SCAN, SPLATS, FACES = 2_000_000, 100_000, 500_000
 # Of a splat in the reference implementation of Gaussian splatting, without higher colours.
-PROPERTIES = [
-    "x",
-    "y",
-    "z",
-    "nx",
-    "ny",
-    "nz",
-    "f_dc_0",
-    "f_dc_1",
-    "f_dc_2",
-    "opacity",
-    "scale_0",
-    "scale_1",
-    "scale_2",
-]
-PROPERTIES += [f"rot_{number}" for number in range(4)]
+PROPERTIES = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{number}" for number in range(3)), "opacity"]
+PROPERTIES += [*(f"scale_{axis}" for axis in range(3)), *(f"rot_{part}" for part in range(4))]
 # The command, then the peak of its process's memory.
 WATCHED = """from tso_cli.__main__ import main
 try:
@@ -228,51 +205,17 @@ def measure_object(
     return setting.race("object", contestants, "over_import_torch")
 
 
-def measure_phases(
-    setting: Setting, sizes: Sequence[int] = (*SIZES, LARGE), views: Sequence[int] = MORE_VIEWS
-) -> Cases:
-    """The phases of the default at every size, with more views, and compiled as in a batch.
-
-    Each in a process of its own.
-    """
-    scenes = [
-        *((points, 1, "") for points in sizes),
-        *((sizes[0], count, "") for count in views),
-        (sizes[0], 1, "compiled"),
-    ]
-    records = []
-    for number, scene in enumerate(scenes, 1):
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            records.append(pool.submit(_phases, *scene, setting.seed).result())
-        setting.report("phases", number, len(scenes))
-    return records
-
-
-def _phases(points: int, views: int, form: str, seed: int) -> Record:
-    with in_form(form):
-        scene, config = (cloud(points, seed), chair_views(views)), RefineConfig()
-        first, *later = (refine(*scene, config=config).cost.seconds for _ in range(1 + RUNS))
-    phases = {name: float(np.median([seconds[name] for seconds in later])) for name in later[0]}
-    taken = [sum(seconds.values()) for seconds in later]
-    fields = {"points": points, "views": views, "form": form, "phases": phases}
-    fields |= {"first": sum(first.values()), "peak_MiB": peak_memory()}
-    return record("phases", "best", taken, **fields)
-
-
 def measure_batch(
     setting: Setting,
     batches: Mapping[tuple[str, int, int], Sequence[int]] = BATCHES,
     steps: int | None = None,
 ) -> Cases:
-    """Seconds an object of `refine`, and of `refine_batch` in one process and on all cores."""
+    """Seconds an object of `refine_batch` in one process and on all cores."""
     contestants = [IMPORT_TORCH]
     for (preset, points, views), sizes in batches.items():
         config, seen = RefineConfig(preset=preset, steps=steps), chair_views(views)
         scenes = [(cloud(points, setting.seed + number), seen) for number in range(DIFFERENT)]
         scene = {"preset": preset, "points": points, "views": views}
-        fields = scene | {"batch": 1, "processes": 1, "busy": False}
-        alone = on_cores(timed(partial(refine, *scenes[0], config=config)), 1)
-        contestants.append(Contestant("refine", alone, fields))
         for size, count, busy in product(sizes, sorted({1, CORES}), (False, True)):
             if not busy or size == WITH_NEIGHBOUR:
                 several = [scenes[number % DIFFERENT] for number in range(size)]
@@ -280,12 +223,7 @@ def measure_batch(
                 fields = scene | {"batch": size, "processes": count, "busy": busy}
                 name = f"refine_batch of {size}" + (", busy neighbour" if busy else "")
                 contestants.append(Contestant(name, sample, fields, size, size <= WITH_NEIGHBOUR))
-    records = setting.race("batch", contestants, "over_import_torch")
-    of_one = records[0]
-    for row in records[1:]:
-        of_one = row if row["name"] == "refine" else of_one
-        row["over_refine"] = row["seconds"]["median"] / of_one["seconds"]["median"]
-    return records
+    return setting.race("batch", contestants, "over_import_torch")
 
 
 def _refine_all(scenes: list, config: RefineConfig) -> None:

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ BLOCK = 2e-3
 MOST_RUNS, LEAST_RUNS = 200, 3
 FAR_OVER = 30.0
 """Work that takes this many times the budget is done once."""
-# Form of the loops -> the work that `planned` is told of: none, or so much that compiling pays.
+# Form of the loops -> the work that `planned` gets: none, or so much work that compiling pays.
 FORMS = {"compiled": 1 << 60, "numpy": 0}
 
 
@@ -110,16 +110,11 @@ def timed(
 
     def sample() -> float:
         start = clock()
-        with in_form(form):
+        with planned(FORMS[form], FORMS[form]) if form else nullcontext():
             work()
         return clock() - start
 
     return sample
-
-
-def in_form(form: str) -> AbstractContextManager[None]:
-    """Inside, loops run in this form; with "" in the form that the work chooses."""
-    return planned(FORMS[form], FORMS[form]) if form else nullcontext()
 
 
 def peak_memory() -> int | None:

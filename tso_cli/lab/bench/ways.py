@@ -51,9 +51,9 @@ class Way:
     def masks(self) -> int:
         return self.run.masks if isinstance(self.run, Variant) else 1
 
-    def refined(self, case: Case, device: str, network: BaseNetwork | None) -> Array:
+    def refined(self, case: Case, network: BaseNetwork | None) -> Array:
         if isinstance(self.run, Variant):
-            return alone(case, self.run, device, network).points
+            return alone(case, self.run, network).points
         return self.run(case.initial, case.views[:1])
 
 
@@ -93,8 +93,3 @@ WAYS: dict[str, Way] = {
     **{name: Way(peer) for name, peer in PEERS.items()},
 }
 """What is compared; one line more is one point more on the chart."""
-
-
-def way_of(name: str) -> Way:
-    """The way of that name; an older record may hold ways that are gone, all with one mask."""
-    return WAYS.get(name, Way(Variant()))

@@ -20,10 +20,8 @@ SILENT, WARNED, DOUBTFUL, REFUSED, NON_FINITE = "-wdrn"
 """What became of a run: done without a warning, warned, called doubtful, refused, not finite."""
 
 
-def figures(
-    said: str, ratios: Sequence[float | None], seconds: Sequence[float | None]
-) -> dict[str, float | None]:
-    """Of the runs of one level: ratios after / before, shares of the runs, median seconds.
+def figures(said: str, ratios: Sequence[float | None]) -> dict[str, float | None]:
+    """Of the runs of one level: the median ratio after / before, and shares of the runs.
 
     ``worse`` is the share over 1.05, ``spoke`` the share with a warning, a doubtful verdict or a
     refusal, ``silent`` the share that is worse without any. A run that was not refused and has no
@@ -31,21 +29,14 @@ def figures(
     """
     pairs = list(zip(ratios, said, strict=True))
     done = [np.inf if ratio is None else ratio for ratio, word in pairs if word != REFUSED]
-    places = (0.5, 0.95, 1.0)
-    median, high, worst = np.quantile(done, places, method="nearest") if done else [np.nan] * 3
     spoke = np.array([word in (WARNED, DOUBTFUL, REFUSED) for word in said])
     worse = np.array([got_worse(ratio, word) for ratio, word in pairs])
-    took = [value for value in seconds if value is not None]
     values = {
-        "median": median,
-        "p95": high,
-        "worst": worst,
+        "median": np.quantile(done, 0.5, method="nearest") if done else None,
         "worse": float(worse.mean()),
-        "non_finite": said.count(NON_FINITE) / len(said),
         "refused": said.count(REFUSED) / len(said),
         "spoke": float(spoke.mean()),
         "silent": float((worse & ~spoke).mean()),
-        "seconds": float(np.median(took)) if took else None,
     }
     return {name: digits(value) for name, value in values.items()}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -29,13 +28,6 @@ Peer = Callable[[Array, Sequence[View]], Array]
 Way = Variant | Peer
 PIXELS_AT_ONCE = 3e7
 """Most that are refined in one call: 8,192 pixels each way fill a quarter of a GiB."""
-# What a row says of each run -> the number of its result.
-NUMBERS: dict[str, Callable[[RefineResult], float | None]] = {
-    "confidence": lambda result: result.trust.confidence,
-    "iou_before": lambda result: result.fit.iou_before,
-    "iou_after": lambda result: result.fit.iou_after,
-    "moved": lambda result: result.fit.moved_mean,
-}
 
 
 def findings_of(source: RefineResult | TsoError) -> tuple[str, ...]:
@@ -74,7 +66,7 @@ class Outcome:
     """What became of a run.
 
     said : a letter of `knees`. points : [M, 3], None if it was refused. result : None of a peer.
-    took : seconds. findings : names of hypotheses, of the result or the refusal.
+    findings : names of hypotheses, of the result or the refusal.
     """
 
     run: Run
@@ -82,7 +74,6 @@ class Outcome:
     altered: Case | None = None
     points: Array | None = None
     result: RefineResult | None = None
-    took: float | None = None
     findings: tuple[str, ...] = ()
 
     def ratio(self) -> float | None:
@@ -117,39 +108,18 @@ def level_rows(
     way: Way,
     levels: Sequence[float],
 ) -> Cases:
-    """A row for each level, of all seeds of each case."""
+    """A row for each level: its figures, and what became of all seeds of each case."""
     masks = way.masks if isinstance(way, Variant) else 1
     places = product(levels, range(len(cases)), seeds)
     runs = (run_of(cases, axis, *place, masks) for place in places)
-    found = [_run_row(outcome) for outcome in outcomes_of(runs, way)]
-    count = len(cases) * len(seeds)
-    return [
-        {"axis": axis.name, "variant": name, "level": level}
-        | _row(found[i * count : (i + 1) * count])
-        for i, level in enumerate(levels)
-    ]
-
-
-def _run_row(outcome: Outcome) -> Record:
-    """What a row says of a run."""
-    result = outcome.result
-    verdict = (result and result.trust.verdict) or "?"
-    row = {"said": outcome.said, "verdict": verdict[0], "ratio": digits(outcome.ratio())}
-    row |= {key: digits(number(result) if result else None) for key, number in NUMBERS.items()}
-    return {**row, "took": digits(outcome.took)}
-
-
-def _row(run_rows: Sequence[Record]) -> Record:
-    """The level's figures, and what is known of every run; what no run has is left out."""
-    of_runs = {key: [run[key] for run in run_rows] for key in run_rows[0]}
-    said, verdict = ("".join(of_runs.pop(key)) for key in ("said", "verdict"))
-    ratios = of_runs.pop("ratio")
-    row: Record = {**figures(said, ratios, of_runs["took"]), "said": said}
-    row |= {"verdict": verdict} if verdict.strip("?") else {}
-    row |= {"ratio": ratios}
-    return row | {
-        key: values for key, values in of_runs.items() if any(v is not None for v in values)
-    }
+    found = [(outcome.said, digits(outcome.ratio())) for outcome in outcomes_of(runs, way)]
+    count, rows = len(cases) * len(seeds), []
+    for i, level in enumerate(levels):
+        letters, ratios = zip(*found[i * count : (i + 1) * count], strict=True)
+        row: Record = {"axis": axis.name, "variant": name, "level": level}
+        row |= figures("".join(letters), ratios)
+        rows.append({**row, "said": "".join(letters), "ratio": list(ratios)})
+    return rows
 
 
 def outcomes_of(runs: Iterable[Run], way: Way) -> Iterator[Outcome]:
@@ -199,15 +169,13 @@ def outcome_of(run: Run, altered: Case, result: Any) -> Outcome:
         said = DOUBTFUL
     if not np.isfinite(result.points).all() or result.fit.stop_reason == "non_finite":
         said = NON_FINITE
-    took = sum(result.cost.seconds.values())
-    return Outcome(run, said, altered, result.points, result, took, findings)
+    return Outcome(run, said, altered, result.points, result, findings)
 
 
 def _of_peer(run: Run, altered: Case, peer: Peer) -> Outcome:
-    begun = time.perf_counter()
     try:
         moved = peer(altered.initial, altered.views)
     except TsoError:
         return Outcome(run)
     said = SILENT if np.isfinite(moved).all() else NON_FINITE
-    return Outcome(run, said, altered, moved, took=time.perf_counter() - begun)
+    return Outcome(run, said, altered, moved)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from textwrap import fill
@@ -10,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import InputError
 from ...io.clouds import read_cloud
 from ...io.shipped import examples_folder
+from ...plots.style import INK, PALE, page
 from ...refinement import RefineConfig
 from ...scene.load import load_points_scene
 from .. import options
@@ -25,8 +28,7 @@ from ..studies.summary import grouped, summarised
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from ..views import views_around
 from .axes import AXES, Axis
-from .chart import draw
-from .knees import AXIS, SILENT, WORSE, got_worse, knee
+from .knees import AXIS, SILENT, WORSE, fails, got_worse, knee, warns
 from .runs import Way, level_rows, outcomes_of, run_of
 
 # Axes that other packages, and with --quick other variants, are compared on.
@@ -39,6 +41,17 @@ SHAPES, SIZE, COUNT = 2, 128, 1024
 """Of each category; pixels of a mask each way; points of a cloud."""
 PICTURED, ROWS_OF_GROUP, TITLE_WIDTH = ("mask", "camera", "cloud"), 3, 28
 """Groups of which the worst axes are drawn, how many of each, and characters across a title."""
+# Largest ratio -> colour and its name: better, hardly changed, worse, far worse.
+SHADES = {
+    0.7: ("#1a9850", "to 0.7"),
+    0.95: ("#91cf60", "to 0.95"),
+    WORSE: ("#d9ef8b", f"to {WORSE:g}, as before"),
+    1.5: ("#fdae61", "to 1.5"),
+    3.0: ("#f46d43", "to 3"),
+    np.inf: ("#d73027", "above"),
+}
+ROW_HEIGHT = 0.18
+"""Inches."""
 CONVENTION = {
     "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + "
     "backward, longest side 1; of the cloud's own points, without added ones; before: the start as "
@@ -48,11 +61,8 @@ CONVENTION = {
     "warns": "a warning, a doubtful verdict or a refusal in at least half of the runs, at this "
     "level and at all harder ones that fail",
     "said": "of each run: - nothing, w a warning, d doubtful, r refused, n not finite",
-    "took": "seconds; moved: mean over the points, longest sides",
-    "runs": "all seeds of the first case, of the second, ...; null: none; verdict: first letter of "
-    "the result's, if it has one",
-    "p95, worst, worse, silent": "of the runs that were not refused; shares of all runs: over "
-    f"{WORSE}, and over it without a warning",
+    "runs": "all seeds of the first case, of the second, ...; null: none",
+    "worse, silent": f"shares of all runs: over {WORSE}, and over it without a warning",
 }
 
 
@@ -87,8 +97,9 @@ def plan(
     """
     if quick:
         names, cases_of, seeds = ["chair", "car", "airplane"], example_cases, [seed]
+    elif meshes is None:
+        raise InputError("--meshes is missing, expected a folder of meshes, or --quick")
     else:
-        meshes = options.given_meshes(meshes)
         shapes = shapes_of_part(meshes, split, "test", CATEGORIES, SHAPES)
         builder = CaseBuilder(meshes, split, 1, SIZE, COUNT, seed)
         names, seeds = [shape.name for shape in shapes], [seed, seed + 1]
@@ -181,25 +192,16 @@ def conclude(cases: Cases) -> Record:
 
 
 def _halves(rows: Cases) -> Record:
-    """Of axes with several levels: axes, axes with a worse run in the harmless half.
-
-    And of the hopeless half: worse runs, and how many of them are flagged.
-    """
-    axes = worse_axes = worse = flagged = 0
-    for of_axis in grouped(rows, "axis").values():
-        if len(of_axis) > 1:
-            middle = len(of_axis) // 2
-            axes += 1
-            worse_axes += any(_worse(row) for row in of_axis[:middle])
-            words = [word for row in of_axis[middle:] for word in _worse(row)]
-            worse, flagged = worse + len(words), flagged + sum(word != SILENT for word in words)
-    return {"axes": axes, "harmless_worse": worse_axes, "hopeless_worse": worse, "flagged": flagged}
-
-
-def _worse(row: Record) -> list[str]:
-    """What tso said of each run that got worse."""
-    pairs = zip(row["ratio"], row["said"], strict=True)
-    return [word for ratio, word in pairs if got_worse(ratio, word)]
+    """Of the hopeless halves of axes: the runs that got worse, and how many of them are flagged."""
+    words = [
+        word
+        for of_axis in grouped(rows, "axis").values()
+        if len(of_axis) > 1
+        for row in of_axis[len(of_axis) // 2 :]
+        for ratio, word in zip(row["ratio"], row["said"], strict=True)
+        if got_worse(ratio, word)
+    ]
+    return {"hopeless_worse": len(words), "flagged": sum(word != SILENT for word in words)}
 
 
 def tables(record: Record) -> list[Table]:
@@ -213,16 +215,20 @@ def tables(record: Record) -> list[Table]:
         for way, of_way in knees.items()
         if name in of_way
     ]
-    halves = [[group, *row.values()] for group, row in record["halves"].items()]
+    halves = [
+        [group, row["hopeless_worse"], row["flagged"]] for group, row in record["halves"].items()
+    ]
     columns = ["harmless up to", "tso warns from", "fails from", "worst", "worse, no warning"]
-    of_halves = ["wrong is", "axes", "with a worse run in the harmless half"]
-    of_halves += ["worse runs in the other half", "flagged"]
     note = "worst: largest median ratio of a level; worse, no warning: share of the axis's runs; "
     note += "every run is in the JSON file"
     return [
         Table(["", "axis", *columns], axes, "Default preset", note, decimals=2),
         Table(["by", "axis", *columns], compared, "Other ways", decimals=2),
-        Table(of_halves, halves, "Warnings of the default preset"),
+        Table(
+            ["wrong is", "worse runs in the hopeless half of the levels", "flagged"],
+            halves,
+            "Warnings of the default preset",
+        ),
     ]
 
 
@@ -237,6 +243,61 @@ def _cells(name: str, found: Record) -> list[Any]:
         texts = ["no" if level is None else "yes" for level in levels]
     texts[2] += " (refused)" if found["refused"] else ""
     return [AXIS[name].label, *texts, found["worst"], found["silent"]]
+
+
+def draw(path: Path, record: Record, overwrite: bool) -> None:
+    """By the default preset: cells of levels coloured by the median ratio; triangles: warnings."""
+    axes = grouped([row for row in record["cases"] if row["variant"] == DEFAULT], "axis")
+    columns = max(len(rows) for rows in axes.values())
+    groups = [AXIS[name].group for name in axes]
+    height = 1.15 + ROW_HEIGHT * (len(axes) + len(set(groups)))
+    title = {"fontsize": 8, "weight": "bold", "ha": "right", "va": "center", "color": INK}
+    with page(path, overwrite, (10.5, height), dpi=100) as figure:
+        axis = figure.subplots()
+        y, ticks = -1.0, []
+        for i, rows in enumerate(axes.values()):
+            if i == 0 or groups[i] != groups[i - 1]:
+                y += 1.0
+                axis.text(-0.55, y, groups[i], **title)
+            y += 1.0
+            ticks.append(y)
+            for x, row in enumerate(rows):
+                _draw_cell(axis, x, y, row)
+        axis.set_yticks(ticks, [AXIS[name].label for name in axes], fontsize=7)
+        axis.set(xlim=(-0.5, columns - 0.5), ylim=(y + 0.6, -0.6), xticks=[])
+        axis.tick_params(left=False)
+        axis.spines[["left", "bottom"]].set_visible(False)
+        _draw_legend(figure)
+
+
+def _draw_cell(axis: Any, x: float, y: float, row: Record) -> None:
+    refused = row["refused"] > 0.5
+    ratio = np.inf if row["median"] is None else row["median"]
+    shade = next(colour for limit, (colour, _) in SHADES.items() if ratio <= limit)
+    axis.barh(y, 0.96, 0.86, x - 0.48, color=PALE if refused else shade, linewidth=0)
+    ink = "white" if not refused and (ratio > 3.0 or ratio <= 0.7) else INK
+    level = AXIS[row["axis"]].at(row["level"]).split(" ")[0]
+    axis.text(x - 0.44, y, level, fontsize=6, va="center", color=ink)
+    if not refused:
+        text = f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"
+        weight = "bold" if fails(row) else "normal"
+        style = {"fontsize": 6.5, "va": "center", "ha": "right", "weight": weight}
+        axis.text(x + 0.30, y, text, color=ink, **style)
+    if warns(row):
+        axis.scatter(x + 0.39, y, s=16, marker="^", color=ink, linewidths=0)
+
+
+def _draw_legend(figure: Any) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [Patch(color=colour, label=name) for colour, name in SHADES.values()]
+    handles.append(Patch(color=PALE, label="refused by most"))
+    handles.append(Line2D([], [], color=INK, marker="^", ls="", label="tso warns"))
+    title = "from harmless to hopeless: level, and median Chamfer distance after / before"
+    style = {"frameon": False, "fontsize": 8, "title_fontsize": 9}
+    place = {"loc": "outside upper center", "ncols": 8}
+    figure.legend(handles=handles, title=title, **place, **style)
 
 
 STUDY = Study(
@@ -254,7 +315,7 @@ STUDY = Study(
     convention=CONVENTION,
     options=(
         Option("--quick", "Shipped examples, every second level, one seed.", bool, False),
-        options.QUICK_MESHES,
+        replace(options.MESHES, required=False),
         options.SPLIT,
         options.SEED,
         options.pictures("the results that are worst without a warning"),

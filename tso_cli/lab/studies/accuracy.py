@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError
 from ...evaluation.footprint import IOU_MEANS
 from ...evaluation.metrics import chamfer, f_score
 from ...geometry.points import Array
+from ...io.shipped import default_checkpoint
 from ...network.model import BaseNetwork
 from .. import options
 from ..charts import Panel, draw_ratios, pictures_at
@@ -46,7 +46,6 @@ SCALES = {
     "256 px, 16,384 points": (256, 16_384),
 }
 CASES_A_CALL = 32
-STARTS = "Kind of start. May be repeated.  [default: all; with --ablation all but right]"
 F_THRESHOLD = 0.02
 # Mean Chamfer after / before that is aimed at, one random 64x64 mask, starts from other shapes.
 AIMS = {
@@ -76,29 +75,22 @@ def plan(
     progress: Progress,
     *,
     meshes: Path,
-    checkpoint: Path,
     split: Path | None,
     pictures: Path | None,
-    kinds: tuple[str, ...],
+    kinds: tuple[str, ...] = (),
     variants_of: Callable[[str, bool], dict[str, Variant]] = variants_of,
     **settings: Any,
 ) -> Plan:
-    """Refine every case of every kind with every variant, and compare it with the truth.
-
-    Raises InputError where there are no such cases.
-    """
+    """Refine every case of every kind with every variant, and compare it with the truth."""
     ablation, sizes = settings["ablation"], settings["sizes"]
-    if sizes:
-        kinds = kinds or ("other",)
-    kinds = kinds or tuple(kind for kind in KINDS if kind != "right" or not ablation)
+    every = tuple(kind for kind in KINDS if kind != "right" or not ablation)
+    kinds = kinds or (("other",) if sizes else every)
     categories = settings["categories"]
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
-    network, about = view_aligned_network(checkpoint) if "network" in kinds else (None, None)
+    network, about = None, None
+    if "network" in kinds:
+        network, about = view_aligned_network(default_checkpoint())
     scales = SCALES if sizes else dict(list(SCALES.items())[:1])
-    for _, points in scales.values():
-        if about is not None and about.points != points:
-            found = f"{checkpoint}: predicts {about.points} points"
-            raise InputError(f"{found}, expected {points} for kind network")
     views, seed = settings["views"], settings["seed"]
     plain = CaseBuilder(meshes, split, views, *SCALES["64 px"], seed, network, about)
     builders = {
@@ -113,7 +105,7 @@ def plan(
     def refine_group(shared: Record, kind: str, group: list[Shape]) -> Cases:
         builder = builders[shared.get("scale", "64 px")]
         cases = [case for shape in group for case in builder.cases(shape, kind)]
-        rows = refine_cases(cases, variants[kind], settings["device"], network)
+        rows = refine_cases(cases, variants[kind], network)
         return [{**({"scale": shared["scale"]} if sizes else {}), **row} for row in rows]
 
     jobs, at_once = [], max(1, CASES_A_CALL // views)
@@ -124,26 +116,21 @@ def plan(
             shared = {"kind": kind, "shape": group[0].name}
             shared |= {"scale": scale} if sizes else {}
             jobs.append((shared, partial(refine_group, shared, kind, group)))
-    if not jobs:
-        expected = f"expected some that {', '.join(categories)} have"
-        raise InputError(f"kinds are {', '.join(kinds)}, {expected}")
-
     default = variants_of(kinds[0], ablation)[DEFAULT]
     extremes = partial(_extremes, builder=plain, shapes=shapes, variant=default)
     return Plan(settings, jobs, finish=pictures_at(pictures, progress.overwrite, extremes))
 
 
 def refine_cases(
-    cases: list[Case], variants: dict[str, Variant], device: str, network: BaseNetwork | None
+    cases: list[Case], variants: dict[str, Variant], network: BaseNetwork | None
 ) -> Cases:
     """Refine cases of one kind and category with every variant."""
     records: Cases = []
     for case in cases:
-        names = {key: getattr(case, key) for key in ("kind", "category", "shape", "view")}
         before = rounded({**_distances(case.initial, case), "floor": case.floor})
-        records.append({**names, "before": before, "variants": {}})
+        records.append({**case.names, "before": before, "variants": {}})
     for name, variant in variants.items():
-        results = refined(cases, variant, device, network)
+        results = refined(cases, variant, network)
         for case, record, result in zip(cases, records, results, strict=True):
             ious = {"iou_before": result.fit.iou_before, "iou": result.fit.iou_after}
             record["variants"][name] = rounded({**_distances(result.points, case), **ious})
@@ -173,7 +160,7 @@ def _extremes(
         for place, name in {order[len(order) // 2]: "median", order[0]: "worst"}.items():
             shape = by_name[cases[place]["shape"]]
             case = builder.cases(shape, kind)[cases[place]["view"]]
-            result = alone(case, variant, record["settings"]["device"], builder.network)
+            result = alone(case, variant, builder.network)
             title = f"{category}, {name}: {ratios[place]:.2f}, {shape.name.partition('/')[2][:16]}"
             rows.append((title, case, result.points))
     return rows
@@ -328,6 +315,7 @@ def tables(record: Record) -> list[Table]:
 
 CELLS = "mean of Chamfer after / before (number of cases that got worse, worst ratio); floor: the "
 CELLS += "ratio of another sampling of the truth"
+LAST_ROWS = ("floor", "start, Chamfer x1000", "cases")
 
 
 def _of_categories(summary: Record) -> Table:
@@ -341,22 +329,20 @@ def _of_categories(summary: Record) -> Table:
 
 def _rows(groups: dict[str, Record | None]) -> list[list[str | None]]:
     """Rows of variants, then of the start; a column for each of ``groups``."""
-    known = [group for group in groups.values() if group]
-    names = dict.fromkeys(name for group in known for name in group["variants"])
+    cells = {key: _cells(group) if group else {} for key, group in groups.items()}
+    names = dict.fromkeys(name for column in cells.values() for name in column)
+    return [
+        [name, *(column.get(name) for column in cells.values())]
+        for name in sorted(names, key=LAST_ROWS.__contains__)
+    ]
 
-    def row(label: str, cell: Callable[[Record], str | None]) -> list[str | None]:
-        return [label, *(cell(group) if group else None for group in groups.values())]
 
-    def ratios(group: Record, name: str) -> str | None:
-        figures = group["variants"].get(name)
-        return figures and "{mean_ratio:.2f} ({worse}, {worst_ratio:.2f})".format_map(figures)
-
-    rows = [row(name, partial(ratios, name=name)) for name in names]
-    rows.append(row("floor", lambda group: f"{group['before']['floor_ratio']:.2f}"))
-    rows.append(
-        row("start, Chamfer x1000", lambda group: f"{1e3 * group['before']['chamfer']:.1f}")
-    )
-    return [*rows, row("cases", lambda group: str(group["cases"]))]
+def _cells(group: Record) -> dict[str, str]:
+    ratios = "{mean_ratio:.2f} ({worse}, {worst_ratio:.2f})"
+    before, variants = group["before"], group["variants"].items()
+    last = f"{before['floor_ratio']:.2f}", f"{1e3 * before['chamfer']:.1f}", str(group["cases"])
+    cells = {name: ratios.format_map(figures) for name, figures in variants}
+    return cells | dict(zip(LAST_ROWS, last, strict=True))
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
@@ -388,15 +374,12 @@ STUDY = Study(
     convention=CONVENTION,
     options=(
         *options.COMMON,
-        options.CHECKPOINT,
         options.part("test"),
         options.categories(*CATEGORIES),
-        Option("--kind", STARTS, str, (), KINDS, multiple=True, name="kinds"),
         options.views(2),
         Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
-        Option("--sizes", f"Compare {'; '.join(SCALES)}.  Kind other unless given.", bool, False),
+        Option("--sizes", f"Compare {'; '.join(SCALES)}.  Kind other alone.", bool, False),
         options.pictures("the worst and the median case of each category"),
-        options.DEVICE,
     ),
     plan=plan,
     conclude=conclude,

@@ -73,6 +73,11 @@ class Case:
     image: NDArray[np.float32] | None = None
     colours: Array | None = None
 
+    @property
+    def names(self) -> dict[str, str | int]:
+        """What records call the case."""
+        return {key: getattr(self, key) for key in ("kind", "category", "shape", "view")}
+
 
 @dataclass(frozen=True, eq=False)
 class CaseBuilder:

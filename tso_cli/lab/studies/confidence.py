@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ...diagnosis.confidence import LEAST_CONFIDENCE, MODEL
 from ...io.output import atomic_output
 from ...kernels.dispatch import planned
-from ...plots.style import COLOURS, INK, page
 from ...refinement import RefineConfig
 from .. import options
+from ..charts import draw_bars
 from ..options import Option
 from ..stability.axes import AXES, Axis
 from ..stability.runs import Outcome, Run, outcomes_of
@@ -223,7 +223,6 @@ def conclude(cases: Cases) -> Record:
     """AUC, and how many are flagged, by group of alterations; reliability; claims."""
     both = [case for case in cases if case["group"] in ("camera", "mask")]
     chosen = {"all": cases, "camera and mask": both, **grouped(cases, "group")}
-    chosen |= {f"{name}, any": rows for name, rows in grouped(cases, "category").items()}
     chosen["right scenes"] = [case for case in cases if case["axis"] == UNALTERED.name]
     summary = {name: _figures(rows) for name, rows in chosen.items() if refined(rows)}
     return {"summary": summary, "reliability": _reliability(cases), "claims": claims(summary)}
@@ -296,32 +295,18 @@ def tables(record: Record) -> list[Table]:
     ]
 
 
-GROUPS = {
-    "all alterations": None,
-    "camera": "camera",
-    "mask": "mask",
-    "gross mistakes": "gross",
-}
-
-
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Reliability, and the share of worse results flagged over the share of other results."""
-    unit = {"xlim": (0, 1), "ylim": (0, 1)}
-    with page(path, overwrite, (9.0, 3.8), dpi=100) as figure:
-        left, right = figure.subplots(1, 2)
-        _, stated, true = np.array(record["reliability"]).T
-        left.plot([0, 1], [0, 1], color=INK, linewidth=0.8)
-        left.plot(stated, true, "o-", color=COLOURS[0])
-        left.set(xlabel="confidence", ylabel="share that is not worse by over 5 %", **unit)
-        for (label, group), colour in zip(GROUPS.items(), COLOURS, strict=False):
-            rows = [case for case in refined(record["cases"]) if group in (None, case["group"])]
-            order = np.argsort([row["confidence"] for row in rows], kind="stable")
-            worse = np.array([row["ratio"] > WORSE for row in rows])[order]
-            if 0 < worse.sum() < len(worse):
-                others = np.cumsum(~worse) / (~worse).sum()
-                right.plot(others, np.cumsum(worse) / worse.sum(), color=colour, label=label)
-        right.set(xlabel="share of other results flagged", ylabel="share of worse ones", **unit)
-        right.legend(frameon=False, fontsize=8, loc="lower right")
+    """Reliability by bin of confidence, and the AUC by group of alterations."""
+    reliability = {
+        f"{stated:.2f}": {"confidence": stated, "not worse": true}
+        for _, stated, true in record["reliability"]
+    }
+    areas = {
+        name: {"confidence": row["auc"], "IoU gain": row["auc_iou_gain"]}
+        for name, row in record["summary"].items()
+    }
+    panels = {"share that is not worse by over 5 %, by confidence": reliability, "AUC": areas}
+    draw_bars(path, panels, overwrite)
 
 
 STUDY = Study(

@@ -20,7 +20,7 @@ from .cases import Case, CaseBuilder, kinds_of
 from .evidence_alterations import Alter, Truth, painted, unaltered, with_depth, without
 from .refining import Variant, refined
 from .shapes import Shape, shapes_of_part
-from .summary import grouped, rounded
+from .summary import grouped, rounded, summarised
 
 SIZE, POINTS = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
@@ -133,11 +133,7 @@ def refine_rows(name: str, question: Question, cases: list[tuple[Case, Truth]], 
 
     Where a case cannot be altered as a row asks, the row is left out of it.
     """
-    keys = ("kind", "category", "shape", "view")
-    records: Cases = [
-        {"question": name, **{key: getattr(case, key) for key in keys}, "rows": {}}
-        for case, _ in cases
-    ]
+    records: Cases = [{"question": name, **case.names, "rows": {}} for case, _ in cases]
     for label, (alter, variant) in question.rows.items():
         altered = []
         for number, (case, truth) in enumerate(cases):
@@ -146,7 +142,7 @@ def refine_rows(name: str, question: Question, cases: list[tuple[Case, Truth]], 
             changed = alter(case, truth, np.random.default_rng(key))
             if changed is not None:
                 altered.append((number, changed))
-        results = refined([case for _, case in altered], variant, "cpu", None) if altered else []
+        results = refined([case for _, case in altered], variant) if altered else []
         for (number, case), result in zip(altered, results, strict=True):
             row = {
                 "before": chamfer(case.initial, case.target).chamfer,
@@ -158,14 +154,9 @@ def refine_rows(name: str, question: Question, cases: list[tuple[Case, Truth]], 
 
 
 def conclude(cases: Cases) -> Record:
-    """{"summary": {question: {kind: {category, and "all": {row: {"cases", ...}}}}}}."""
-    summary: Record = {}
-    for question, asked in grouped(cases, "question").items():
-        summary[question] = {}
-        for kind, of_kind in grouped(asked, "kind").items():
-            groups = {**grouped(of_kind, "category"), ALL: of_kind}
-            summary[question][kind] = {name: _means(group) for name, group in groups.items()}
-    return {"summary": summary}
+    """{"summary": {question: {kind: {"all": {row: {"cases", ...}}}}}}, of all categories."""
+    figures = lambda of_kind: {ALL: _means(of_kind)}  # noqa: E731
+    return {"summary": summarised(cases, ("question", "kind"), figures)}
 
 
 def _means(cases: Cases) -> Record:
@@ -190,12 +181,11 @@ def tables(record: Record) -> list[Table]:
         asked = QUESTIONS[question]
         columns = {**FIGURES, **({PLANES: PLANES} if asked.planes else {})}
         rows = [
-            [kind, category, label, *map(figures.get, columns)]
-            for kind, categories in kinds.items()
-            for category, of_category in categories.items()
-            for label, figures in of_category.items()
+            [kind, label, *map(figures.get, columns)]
+            for kind, groups in kinds.items()
+            for label, figures in groups[ALL].items()
         ]
-        header = ["kind", "category", question, *columns.values()]
+        header = ["kind", question, *columns.values()]
         result.append(Table(header, rows, title=asked.title))
     return result
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -70,12 +70,9 @@ def plan(
 
     def compare(category: str) -> Cases:
         training = materials[PARTS[0]].data(category, training=True)
-        rivals = Rivals(training, seed, materials[PARTS[0]].mean_steps)
-        return [
-            {"part": part, "category": category, **row}
-            for part, material in materials.items()
-            for row in rivals.compared(network, material.data(category, training=False))
-        ]
+        unseen = {part: one.data(category, training=False) for part, one in materials.items()}
+        rows = compared(network, training, unseen, seed, materials[PARTS[0]].mean_steps)
+        return [{"category": category, **row} for row in rows]
 
     settings: Record = {"seed": seed, "split": (split or SPLIT).name}
     settings |= {"network": weights_hash(network)}
@@ -84,35 +81,37 @@ def plan(
     return Plan(settings, jobs, "comparing")
 
 
-class Rivals:
-    """The answers of a category that need no network."""
-
-    def __init__(self, training: TrainingData, seed: int, steps: int = MEAN_STEPS) -> None:
-        draws = [
-            Draw(index, view)
-            for index, item in enumerate(training.objects)
-            for view in range(min(MEAN_VIEWS, len(item.views)))
-        ]
-        self.mean_view = mean_shape(assemble(training, draws, "view").targets, seed, steps)
-        self.clouds = [training.target(i) for i in range(len(training.objects))]
-        self.mean_aligned = aligned_mean(self.clouds, seed, steps)
-
-    def compared(self, network: BaseNetwork, unseen: TrainingData) -> Cases:
-        """For each unseen shape the mean distance of the network over its views, and the rivals."""
-        cases = []
-        for index, item in enumerate(unseen.objects):
-            draws = [Draw(index, view) for view in range(len(item.views))]
-            batch = assemble(unseen, draws, "view")
-            with torch.no_grad():
-                predicted = network(torch.from_numpy(batch.images)).numpy()
-            pairs = zip(predicted, batch.targets, strict=True)
-            case: Record = {"shape": item.name}
-            case["network"] = mean(chamfer(*pair).chamfer for pair in pairs)
-            means = (chamfer(self.mean_view, target).chamfer for target in batch.targets)
-            case["mean_view"] = mean(means)
-            case["mean_aligned"] = nearest_of([self.mean_aligned], unseen.target(index))
-            cases.append({**case, "nearest": nearest_of(self.clouds, unseen.target(index))})
-        return cases
+def compared(
+    network: BaseNetwork,
+    training: TrainingData,
+    unseen: Mapping[str, TrainingData],
+    seed: int,
+    steps: int,
+) -> Iterator[Record]:
+    """For each unseen shape of each part the mean distance of the network, and of its rivals."""
+    draws = [
+        Draw(index, view)
+        for index, item in enumerate(training.objects)
+        for view in range(min(MEAN_VIEWS, len(item.views)))
+    ]
+    mean_view = mean_shape(assemble(training, draws, "view").targets, seed, steps)
+    clouds = [training.target(i) for i in range(len(training.objects))]
+    mean_aligned = aligned_mean(clouds, seed, steps)
+    places = ((part, data, i) for part, data in unseen.items() for i in range(len(data.objects)))
+    for part, data, index in places:
+        item, truth = data.objects[index], data.target(index)
+        batch = assemble(data, [Draw(index, view) for view in range(len(item.views))], "view")
+        with torch.no_grad():
+            predicted = network(torch.from_numpy(batch.images)).numpy()
+        pairs = zip(predicted, batch.targets, strict=True)
+        yield {
+            "part": part,
+            "shape": item.name,
+            "network": mean(chamfer(*pair).chamfer for pair in pairs),
+            "mean_view": mean(chamfer(mean_view, target).chamfer for target in batch.targets),
+            "mean_aligned": nearest_of([mean_aligned], truth),
+            "nearest": nearest_of(clouds, truth),
+        }
 
 
 def nearest_of(clouds: Sequence[Floats], truth: Floats) -> float:

@@ -12,9 +12,9 @@ import numpy as np
 from ...geometry.camera import CANONICAL_FOCAL_AT_64
 from ...geometry.points import Array
 from ...geometry.rotations import angle_between
-from ...plots.style import COLOURS, INK, page
 from ...pose.fit import FittedCamera, fit_camera
 from .. import options
+from ..charts import draw_bars
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from .cases import Case, CaseBuilder, kinds_of
 from .shapes import Shape, shapes_of_part
@@ -66,13 +66,12 @@ def fit_case(case: Case) -> Cases:
     if case.kind == "other":
         focal = PRIOR * CANONICAL_FOCAL_AT_64 / 64.0 * view.camera.width
         clouds |= {TRUE: (case.target, None), WRONG_PRIOR: (case.target, focal)}
-    names = {"category": case.category, "shape": case.shape, "view": case.view}
     rows = []
     for name, (cloud, focal_prior) in clouds.items():
         start = time.perf_counter()
         fitted = fit_camera(cloud, view.mask, focal=focal_prior)
         seconds = time.perf_counter() - start
-        rows.append({"cloud": name, **names, **figures(case, fitted), "seconds": seconds})
+        rows.append({"cloud": name, **case.names, **figures(case, fitted), "seconds": seconds})
     return [rounded(row) for row in rows]
 
 
@@ -121,19 +120,18 @@ def tables(record: Record) -> list[Table]:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """For each cloud the distribution of the angles; dashed: of the nearest of the answers."""
-    with page(path, overwrite, (9.0, 3.8), dpi=100) as figure:
-        axis = figure.subplots()
-        for cloud, colour in zip(record["summary"], COLOURS, strict=False):
-            rows = [case for case in record["cases"] if case["cloud"] == cloud]
-            for key, dashes, label in (("degrees", "-", cloud), ("answers", "--", None)):
-                degrees = [row[key] for row in rows]
-                axis.ecdf(degrees, color=colour, linestyle=dashes, label=label)
-        axis.axvline(RIGHT_DEGREES, color=INK, linewidth=0.8, zorder=0)
-        ticks = [0, 15, 30, 60, 90, 120, 150, 180]
-        axis.set(xlim=(0.0, 180.0), xticks=ticks, ylabel="share of the cases")
-        axis.set_xlabel("degrees from the true rotation (dashed: the nearest of the answers)")
-        axis.legend(frameon=False, fontsize=8, loc="lower right")
+    """For each cloud how many cases are found, by the first answer and by any, and called sure."""
+    bars = {
+        "right": "the first answer within 15 degrees",
+        "answers": "one of the answers",
+        "sure": "sure",
+        "sure_right": "sure and within 15",
+    }
+    rows = {
+        cloud: {label: 100.0 * row[key] / row["cases"] for key, label in bars.items()}
+        for cloud, row in record["summary"].items()
+    }
+    draw_bars(path, {"% of the cases": rows}, overwrite)
 
 
 STUDY = Study(

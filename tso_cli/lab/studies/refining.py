@@ -92,12 +92,12 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
 
 
 def refined(
-    cases: list[Case], variant: Variant, device: str, network: BaseNetwork | None
+    cases: list[Case], variant: Variant, network: BaseNetwork | None = None
 ) -> list[RefineResult]:
     """The result of each case; TsoError where a case cannot be refined."""
     # Networks and colours have no batch.
     if variant.config.mode != "points" or any(case.colours is not None for case in cases):
-        return [alone(case, variant, device, network) for case in cases]
+        return [alone(case, variant, network) for case in cases]
     problems = [(case.initial, case.views[: variant.masks]) for case in cases]
     results = []
     for result in refine_batch(problems, variant.config):
@@ -107,12 +107,11 @@ def refined(
     return results
 
 
-def alone(case: Case, variant: Variant, device: str, network: BaseNetwork | None) -> RefineResult:
+def alone(case: Case, variant: Variant, network: BaseNetwork | None) -> RefineResult:
     """The result of one case, refined by itself."""
     config, views = variant.config, case.views[: variant.masks]
     if config.mode == "points":
         return uninterrupted(refine(case.initial, views, config=config, colours=case.colours))
-    config = replace(config, device=device)
     result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
     if variant.then is None:
         return result

@@ -15,7 +15,7 @@ from ...train.data import TrainingData
 from .. import options
 from ..charts import Rows, draw_bars
 from ..options import Option
-from ..study import Cases, Plan, Progress, Record, Study, Table, claim
+from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed
 from .discretised import DEPTH, projected_objective
 from .material import (
     ALL,
@@ -177,9 +177,9 @@ def trained_study(
     """
 
     def tables(record: Record) -> list[Table]:
-        panels = rows(record)
         note = _budget(record["settings"])
-        return [_table(title, panels[title], note) for title in panels]
+        panels = rows(record).items()
+        return [crossed(cells, title, note=note, decimals=2) for title, cells in panels]
 
     return Study(
         name=name,
@@ -204,7 +204,7 @@ OPTIONS = (
     Option("--batch-size", kind=int, default=8, least=1),
     Option("--limit", "Training shapes of a category.", int, 32, least=1),
     options.SEED,
-    options.DEVICE,
+    Option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu"),
 )
 
 
@@ -219,9 +219,3 @@ def _budget(settings: Record) -> str:
         f"{settings['device']}; shapes: {shapes} ({settings['part']}), {INPUT_VIEWS} views each. "
         "Chamfer x1000 under the paper's protocol."
     )
-
-
-def _table(title: str, rows: Mapping[str, Mapping[str, float | None]], note: str) -> Table:
-    columns = list(dict.fromkeys(key for values in rows.values() for key in values))
-    cells = [[name, *map(values.get, columns)] for name, values in rows.items()]
-    return Table([title, *columns], cells, note=note, decimals=2)

@@ -77,8 +77,7 @@ def plan(
     settings |= {"shapes": len(shapes), "points": about.points, "sigma_sq": about.sigma_sq}
     settings |= {"network": weights_hash(network)}
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
-    chosen = {"steps": settings["steps"], "device": settings["device"]}
-    config = RefineConfig(**chosen, sigma_sq=about.sigma_sq, preset="paper")
+    config = RefineConfig(steps=settings["steps"], sigma_sq=about.sigma_sq, preset="paper")
 
     def refine_shape(shape: Shape) -> Cases:
         seen, numbers = see(shape, render, settings["seed"]), range(settings["views"])
@@ -315,7 +314,6 @@ STUDY = Study(
         options.categories(),
         options.views(4),
         Option("--steps", kind=int, default=50, least=0),
-        options.DEVICE,
     ),
     plan=plan,
     conclude=conclude,
