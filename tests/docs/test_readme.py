@@ -173,7 +173,7 @@ def test_every_common_mistake_is_listed(tso):
     listed = [name for row in rows for name in re.findall(r"`([\w-]+)`", row.split("|")[1])]
     assert sorted(listed) == sorted(names)
     assert f"under {len(names)} hypotheses" in (DOCS / "stability.md").read_text()
-    assert f"reports {len(names)} common mistakes" in README.read_text()
+    assert f"for {len(names)} common mistakes" in README.read_text()
 
 
 @pytest.mark.slow
