@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from tests.losses.common import FORMS, NUMPY, in_form
-from tso_cli.cloud.smooth_field import CONTROL_POINTS, SmoothField, falling_weights
+from tso_cli.cloud.control_points import CONTROL_POINTS
+from tso_cli.cloud.smooth_field import SmoothField, falling_weights
 from tso_cli.optimisation.adam import Adam
 from tso_cli.optimisation.parameters import FieldParameters
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tso_cli import RefineConfig, refine
-from tso_cli.cloud.smooth_field import CONTROL_POINTS
+from tso_cli.cloud.control_points import CONTROL_POINTS
 from tso_cli.cloud.subset import Subset
 
 

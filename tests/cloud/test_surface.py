@@ -11,7 +11,7 @@ from trimesh.remesh import subdivide
 from tests.corruption import assert_refused
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
-from tso_cli.cloud.smooth_field import CONTROL_POINTS
+from tso_cli.cloud.control_points import CONTROL_POINTS
 from tso_cli.cloud.surface import Surface, SurfaceSamples
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.evaluation.footprint import common_window, window_iou

@@ -14,8 +14,8 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Bits
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.view import View
+from .control_points import CONTROL_POINTS
 from .outliers import are_part_of_object, find_outliers
-from .smooth_field import CONTROL_POINTS
 from .subset import Subset
 from .surface import Surface, SurfaceSamples
 

@@ -7,10 +7,8 @@ import numpy as np
 from ..geometry.arrays import Array, Bits, Indices
 from ..kernels.dispatch import use_compiled
 from ..losses.nearest import fast_spread_subset, nearest_few
+from .control_points import CONTROL_POINTS
 
-# Most nodes of a field, and most control points of a cloud unless more are asked for. The table of
-# stages states lambda for this number of nodes.
-CONTROL_POINTS = 1024
 # Neighbours of a node in the graph.
 NEIGHBOURS = 8
 # Nodes in the neighbourhood of a node, itself included.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..cloud.smooth_field import CONTROL_POINTS
+from ..cloud.control_points import CONTROL_POINTS
 
 MODES = ("points", "encoder", "encoder-decoder", "latent")
 PRESETS = ("best", "paper")

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from ..cloud.smooth_field import CONTROL_POINTS
+from ..cloud.control_points import CONTROL_POINTS
 from ..errors import InputError
 from ..geometry.points import CANDIDATES
 from ..optimisation.presets import (
