@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..optimisation.presets import MODES, PRESETS
 from . import options
 
-PATH = options.FilePath()
+PATH = options.PATH
 HEADINGS = {
     "mode": "Method",
     "checkpoint": "Network modes",
@@ -79,27 +79,23 @@ def _hypotheses() -> dict[str, str]:
 @click.option(
     "--steps",
     type=options.Whole(0),
-    metavar="N",
     help="Optimiser steps; 0 writes the start.  [default: 48 for each mask, up to four masks; "
     "encoder modes 12, latent 30; paper 50]",
 )
 @click.option(
     "--learning-rate",
     type=float,
-    metavar="X",
     help="[default: 4e-2 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, "
     "1e-6, 5e-6, 1e-3]",
 )
 @click.option(
     "--gamma",
     type=float,
-    metavar="X",
     help="Weight of the Chamfer distance to the start.  [default: 0; paper 1e6, encoder 0]",
 )
 @click.option(
     "--sigma-sq",
     type=float,
-    metavar="X",
     help="Variance of the projector's Gaussian, in squared 64ths of the object's window. "
     "--preset paper and --refine-camera use it.  [default: 0.4]",
 )
@@ -159,7 +155,6 @@ def _hypotheses() -> dict[str, str]:
 @click.option(
     "--depth-scale",
     type=float,
-    metavar="X",
     help="Size of one step of the depth map in units of the camera; 0.001 for millimetres and "
     "metres.  [default: 1]",
 )

@@ -20,7 +20,7 @@ from ..study import Progress, Record, Study, answer, page, undamaged
 OUTPUT = click.option(
     "-o",
     "--output",
-    type=options.FilePath(),
+    type=options.PATH,
     help="Write the record here (.json), with a chart (.png) and a page (.md) of the same name.",
 )
 RESUME = click.option(
@@ -152,7 +152,7 @@ def command_of(study: Study) -> click.Command:
 
 
 def _click_option(option: Option) -> Callable[..., Any]:
-    kind: Any = options.FilePath() if option.kind is Path else option.kind
+    kind: Any = options.PATH if option.kind is Path else option.kind
     if option.choices:
         kind = click.Choice(option.choices)
     elif option.least is not None:

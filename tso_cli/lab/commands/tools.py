@@ -14,7 +14,7 @@ from ..studies import QUESTIONS
 from ..study import Study, answer, undamaged
 from .records import read_record, write_page, write_record
 
-records_argument = click.argument("records", nargs=-1, required=True, type=options.FilePath())
+records_argument = click.argument("records", nargs=-1, required=True, type=options.PATH)
 
 
 def load(name: str) -> Study:
