@@ -124,11 +124,7 @@ def _hypotheses() -> dict[str, str]:
     "mask.  [default: MASKSTEM.camera.json, camera.json or cameras.json next to the mask, else a "
     "canonical camera]",
 )
-@click.option(
-    "--refine-camera",
-    is_flag=True,
-    help="First correct the cameras, close to the given ones; points mode.",
-)
+@options.flag("--refine-camera", "First correct the cameras, close to the given ones; points mode.")
 @click.option("--write-camera", type=PATH, help="Write the fitted or refined cameras, .json.")
 @click.option(
     "--assume",
@@ -139,7 +135,7 @@ def _hypotheses() -> dict[str, str]:
     help="How the input is meant, if not as tso expects, e.g. camera-to-world or cloud-z-up; "
     "NAME@MASK for one mask of several. Warnings name the likely one; `--assume list` lists all.",
 )
-@click.option("--invert-mask", is_flag=True, help="The object is dark in the mask.")
+@options.flag("--invert-mask", "The object is dark in the mask.")
 @click.option(
     "--ignore",
     type=PATH,
@@ -164,40 +160,24 @@ def _hypotheses() -> dict[str, str]:
     multiple=True,
     help="Photo of the mask, for a photometric loss on a cloud with colours.",
 )
-@click.option(
-    "-o",
-    "--output",
-    type=PATH,
-    help="Refined cloud, .ply.  [default: SOURCESTEM.refined.ply in the current folder]",
-)
+@options.output("Refined cloud, .ply.  [default: SOURCESTEM.refined.ply in the current folder]")
 @options.overwrite
-@click.option(
-    "--accept-doubtful",
-    is_flag=True,
-    help="Take the whole displacement even if the result is doubtful.",
-)
-@click.option(
-    "--strict",
-    is_flag=True,
-    help="Write nothing if the result is doubtful or has no confidence; exit code 3.",
+@options.flag("--accept-doubtful", "Take the whole displacement even if the result is doubtful.")
+@options.flag(
+    "--strict", "Write nothing if the result is doubtful or has no confidence; exit code 3."
 )
 @click.option(
     "--overlay",
     type=PATH,
     help="Picture of mask, silhouette and cloud before and after, .png.",
 )
-@click.option(
+@options.flag(
     "--check",
-    is_flag=True,
-    help="Only examine the input: print the camera, the scale, the overlap with the mask, and what "
+    "Only examine the input: print the camera, the scale, the overlap with the mask, and what "
     "may be wrong.",
 )
-@click.option(
-    "-q", "--quiet", is_flag=True, help="Print nothing but errors and the document of --json."
-)
-@click.option(
-    "-v", "--verbose", is_flag=True, help="Also print all measures and settings, for each view."
-)
+@options.flag("-q", "Print nothing but errors and the document of --json.", "--quiet")
+@options.flag("-v", "Also print all measures and settings, for each view.", "--verbose")
 @options.as_json
 @options.device
 @click.pass_context

@@ -17,16 +17,11 @@ from ...io.shipped import named_checkpoint
 from ..options import Option
 from ..study import Progress, Record, Study, answer, page, undamaged
 
-OUTPUT = click.option(
-    "-o",
-    "--output",
-    type=options.PATH,
-    help="Write the record here (.json), with a chart (.png) and a page (.md) of the same name.",
+OUTPUT = options.output(
+    "Write the record here (.json), with a chart (.png) and a page (.md) of the same name."
 )
-RESUME = click.option(
-    "--resume",
-    is_flag=True,
-    help="Go on from the record at -o, if there is one; it is kept after every job.",
+RESUME = options.flag(
+    "--resume", "Go on from the record at -o, if there is one; it is kept after every job."
 )
 
 
