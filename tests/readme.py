@@ -76,7 +76,7 @@ def advice() -> str:
         ("", "`--preset paper`", "other", "points, paper"),
         (
             "",
-            "for comparison, no option of tso: PyTorch3D's soft renderer of points",
+            "(PyTorch3D's soft renderer of points, for comparison; not part of tso)",
             "other",
             "alpha points",
         ),
@@ -249,13 +249,13 @@ def confidence() -> str:
     ]
     right, gross = summary["right scenes"], summary["gross"]
     note = (
-        f"The study made {gross['results'] + gross['refused']} common mistakes.\n"
-        f"tso named {100 * gross['named']:.0f} % of them correctly, "
-        f"and noticed {100 * gross['suspected']:.0f} %.\n"
+        f"The study made {gross['results'] + gross['refused']} common mistakes, harmful or not.\n"
+        f"Of all these, tso noticed {100 * gross['suspected']:.0f} %, "
+        f"and named {100 * gross['named']:.0f} % correctly.\n"
         f"Of {right['results']} scenes without a mistake, "
         f"{100 * right['flagged']:.0f} % were called doubtful."
     )
-    header = ["what is wrong", "results worse by over 5 %", "flagged among these", "AUC"]
+    header = ["what is wrong", "worse by over 5 %", "flagged, of those worse", "AUC"]
     return f"{markdown(header, rows)}\n\n{note}"
 
 
@@ -279,14 +279,16 @@ def flagged() -> str:
         for group in ("mask", "camera", "cloud")
     ]
     return (
-        "Refining still works up to these errors, each of them alone:\n\n"
+        "A change *works* if at most "
+        f"{100 * FEW:.0f} % of the clouds get worse by over 5 %. Refining works up to these\n"
+        "errors, each of them alone:\n\n"
         f"- the mask is dilated by {dilated} %, or shifted by {shifted} %, of the object's size;\n"
         f"- the camera is turned by {yaw} degrees of yaw, moved {aside} % sideways, "
         f"or {distance} times as far away.\n\n"
-        f"*Works* means that at most {100 * FEW:.0f} % of the clouds get worse by over 5 %.\n"
-        "Each change has levels from harmless to hopeless. Among the harder half of the levels,\n"
-        f"tso warned of {shares[0]} of the results worse by over 5 % when the mask was wrong.\n"
-        f"It warned of {shares[1]} for the camera, and of {shares[2]} for the cloud."
+        "Each change has several levels, from harmless to hopeless. Of the upper half of the\n"
+        "levels, take the results that got worse by over 5 %. tso warned of these results in\n"
+        f"{shares[0]} of the cases if the mask was wrong, in {shares[1]} if the camera was wrong,\n"
+        f"and in {shares[2]} if the cloud was wrong."
     )
 
 

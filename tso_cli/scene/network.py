@@ -138,14 +138,15 @@ def network_scene(
                 known.append(Finding("assumed-picture", (0,)))
         placed = _placed(points, crop, view, placing, config.sigma_sq)
         distance = f"at distance {placed.t[2]:.3g}"
+        turned = ", and R and t for the world's axes" if world else ""
         if placing == "camera":
-            summary += " (only its K and distance)"
+            summary += f" (only its K and distance{turned})"
             source += f"; the network's cloud is placed where it has the object, {distance}"
         else:
             # Without a crop of fixed size, t decides which part of the picture a network sees.
             used, verb = ("K", "counts") if config.crop_share else ("K and t", "count")
             if known_camera:
-                summary += f" (only its {used})"
+                summary += f" (only its {used}{turned})"
             source += (
                 f"; of it {used} {verb}, the network's cloud is placed to fill the mask, {distance}"
             )
