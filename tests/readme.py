@@ -82,7 +82,7 @@ def advice() -> str:
         ),
         ("a cloud, two masks", "the default", "other", "points, best, 2 masks"),
         ("a cloud, four masks", "the default", "other", "points, best, 4 masks"),
-        ("a photo alone", "`--mode latent`", "network", "latent, best"),
+        ("a photo and its mask", "`--mode latent`", "network", "latent, best"),
         (
             "",
             "`--mode encoder-decoder`, then points mode",
@@ -250,8 +250,8 @@ def confidence() -> str:
     right, gross = summary["right scenes"], summary["gross"]
     note = (
         f"The study made {gross['results'] + gross['refused']} common mistakes, harmful or not.\n"
-        f"Of all these, tso noticed {100 * gross['suspected']:.0f} %, "
-        f"and named {100 * gross['named']:.0f} % correctly.\n"
+        f"tso noticed {100 * gross['suspected']:.0f} % of all these mistakes, "
+        f"and named {100 * gross['named']:.0f} % of all these mistakes correctly.\n"
         f"Of {right['results']} scenes without a mistake, "
         f"{100 * right['flagged']:.0f} % were called doubtful."
     )
@@ -279,13 +279,13 @@ def flagged() -> str:
         for group in ("mask", "camera", "cloud")
     ]
     return (
-        "A change *works* if at most "
-        f"{100 * FEW:.0f} % of the clouds get worse by over 5 %. Refining works up to these\n"
+        "tso *withstands* a change if at most "
+        f"{100 * FEW:.0f} % of the clouds get worse by over 5 %. tso withstands these\n"
         "errors, each of them alone:\n\n"
         f"- the mask is dilated by {dilated} %, or shifted by {shifted} %, of the object's size;\n"
         f"- the camera is turned by {yaw} degrees of yaw, moved {aside} % sideways, "
         f"or {distance} times as far away.\n\n"
-        "Each change has several levels, from harmless to hopeless. Of the upper half of the\n"
+        "Each change has several levels, from harmless to hopeless. Of the harder half of the\n"
         "levels, take the results that got worse by over 5 %. tso warned of these results in\n"
         f"{shares[0]} of the cases if the mask was wrong, in {shares[1]} if the camera was wrong,\n"
         f"and in {shares[2]} if the cloud was wrong."
@@ -445,6 +445,7 @@ def stages() -> str:
         [str(n), *(f"{getattr(stage, name):g}" for name in columns.values())]
         for n, stage in enumerate(STAGES, 1)
     ]
+    rows[-1][-1] += " V^2"
     return markdown(["stage", *columns], rows)
 
 

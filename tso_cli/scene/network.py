@@ -138,7 +138,7 @@ def network_scene(
                 known.append(Finding("assumed-picture", (0,)))
         placed = _placed(points, crop, view, placing, config.sigma_sq)
         distance = f"at distance {placed.t[2]:.3g}"
-        turned = ", and R and t for the world's axes" if world else ""
+        turned = "; R and t turn the result" if world else ""
         if placing == "camera":
             summary += f" (only its K and distance{turned})"
             source += f"; the network's cloud is placed where it has the object, {distance}"
