@@ -28,8 +28,8 @@ class CoarseToFine:
     ----------
     problem : the cloud and its views. weights : of the given views.
     field : of the cloud at its start, with `CONTROL_POINTS` nodes; stages take coarser fields.
-    learning_rate : about how far the node with the largest gradient moves in one of the first
-        steps.
+    learning_rate : the largest change of a node's vector in the first step. Smoothing makes the
+        points move less.
     follow : whether windows follow the cloud from stage to stage.
     observations : `Problem.observations`. The more views, the less the detail of the last stage is
         a guess: its weight in the mean of the stages grows with their square.
