@@ -156,7 +156,7 @@ def test_the_cameras_of_several_masks_are_written_with_their_masks(refine, folde
 
 def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(refine, folder):
     (folder / "fit").write_text("no camera")
-    assert "fit: is not JSON" in refine("target.ply", "mask.png", "--camera", "./fit").refusal
+    assert "fit: is no camera file" in refine("target.ply", "mask.png", "--camera", "./fit").refusal
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from ..io.checkpoints import load_network, save_network
 from ..io.images import read_image
 from ..io.shipped import CATEGORIES, examples_folder
 from ..network.input import network_input
-from ..scene.load import ViewFiles, load_views
+from ..scene.views import ViewFiles, load_views
 from ..version import __version__
 from . import options
 from .options import PATH, output

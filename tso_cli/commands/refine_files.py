@@ -13,7 +13,8 @@ from ..io.clouds import write_cloud
 from ..io.output import atomic_output
 from ..io.shipped import DEFAULT, named_checkpoint
 from ..refinement import RefineResult
-from ..scene.load import Placing, Scene, ViewFiles, load_points_scene
+from ..scene.load import Placing, Scene, load_points_scene
+from ..scene.views import ViewFiles
 from .options import FIT, require_output
 
 
@@ -33,6 +34,9 @@ class RefineInputs:
     source: Path
     masks: tuple[Path, ...]
     camera: Path | None
+    camera_format: str | None
+    object_id: int | None
+    intrinsics: Path | None
     assume: tuple[str, ...]
     invert_mask: bool
     ignore: tuple[Path, ...]
@@ -57,7 +61,7 @@ class RefineInputs:
                     "no MASK was given, expected one or more, or --camera FILE whose views name "
                     "their masks"
                 )
-            self.masks = tuple(named_masks(self.camera))
+            self.masks = tuple(named_masks(self.camera, self.camera_format, self.object_id))
         if self.fit:
             self._check_fit()
 
@@ -72,6 +76,8 @@ class RefineInputs:
             places = f"found --mode {self.mode}, which places its cloud before the camera itself"
             if self.fit:
                 raise InputError(f"--camera fit is for --mode points, {places}")
+            if self.intrinsics is not None:
+                raise InputError(f"--intrinsics is for --mode points, {places}")
             if self.assume:
                 raise InputError(f"--assume is for --mode points, {places}")
             return
@@ -134,7 +140,8 @@ class RefineInputs:
     def files(self) -> list[Path]:
         """All files that are read, without the checkpoint."""
         cameras = [self.camera] if self.camera else filter(None, map(find_camera, self.masks))
-        return [self.source, *self.masks, *cameras, *self.ignore, *self.depth, *self.image]
+        known = [self.intrinsics] if self.intrinsics else []
+        return [self.source, *self.masks, *cameras, *known, *self.ignore, *self.depth, *self.image]
 
     def load(self) -> Scene:
         """Read everything."""
@@ -143,6 +150,9 @@ class RefineInputs:
             files = ViewFiles(
                 self.masks,
                 camera,
+                camera_format=self.camera_format,
+                object_id=self.object_id,
+                intrinsics=self.intrinsics,
                 assume=self.assume,
                 invert=self.invert_mask,
                 ignore=self.ignore,

@@ -11,12 +11,7 @@ ROOT may also be the folder that holds ShapeNetRendering. Points of the surfaces
 next to ShapeNetRendering: ShapeNet_pcl/SYNSET/MODEL/pcl_1024_fps_trimesh.npy, or if that is missing
 ShapeNetVox32/SYNSET/MODEL/model.binvox.
 
-Facts about the data, from the code that rendered it:
-
-- The camera stands at 1.75 times the distance ratio and looks at the origin. In the axes of the
-  models (y up) its direction is (cos el cos az, sin el, cos el sin az).
-- The lens is Blender's default, 35 mm on a sensor of 32 mm, whatever the last column says.
-- The in-plane rotation turns the picture. It is 0 in the published files.
+`io.cameras.of_r2n2` says what a line of the table means.
 
 The models of ShapeNet are centred at the origin, and so are the grids of .binvox files as
 `io.shapes` reads them.
@@ -32,7 +27,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Floats, Pixels
-from ..geometry.camera import Camera, intrinsics
+from ..geometry.camera import Camera
+from ..io.cameras.of_r2n2 import FOCAL, pose
+from ..io.cameras.record import of_longer_sides
 from ..io.images import read_image
 from ..io.reading import read_bytes, shown
 from ..io.shapes import grid_surface
@@ -64,15 +61,8 @@ def r2n2_camera(
     ``size`` is width, height. The other values are as in the table: degrees, and the distance
     ratio.
     """
-    az, el, roll = np.radians([azimuth, elevation, rotation])
-    right = np.array([np.sin(az), 0.0, -np.cos(az)])
-    down = np.array([np.sin(el) * np.cos(az), -np.cos(el), np.sin(el) * np.sin(az)])
-    forward = -np.array([np.cos(el) * np.cos(az), np.sin(el), np.cos(el) * np.sin(az)])
-    rolled_right = np.cos(roll) * right + np.sin(roll) * down
-    rolled_down = np.cos(roll) * down - np.sin(roll) * right
-    K = intrinsics(35.0 / 32.0 * max(size), *size)
-    R = np.array([rolled_right, rolled_down, forward])
-    return Camera(K, R, np.array([0.0, 0.0, 1.75 * ratio]), *size)
+    R, t = pose(azimuth, elevation, ratio, rotation)
+    return Camera(of_longer_sides(FOCAL)(*size), R, t, *size)
 
 
 def voxel_target(path: str) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.camera import Camera
-from ..io.cameras import check_size, find_camera, read_camera, read_cameras
+from ..io.cameras import find_camera, read_camera, read_partial_cameras
 from ..io.images import read_mask
 from ..io.shapes import SUFFIXES
 
@@ -51,14 +51,13 @@ class Pair:
             yield self.mask, mask, read_camera(source, mask.shape[1], mask.shape[0], self.mask)
             return
         assert self.camera is not None
-        for number, record in enumerate(read_cameras(self.camera)):
-            if record.mask is None:
+        for number, view in enumerate(read_partial_cameras(self.camera)[0]):
+            if view.mask is None:
                 raise InputError(
                     f"{self.camera}: view {number} names no mask, expected one or `mask`"
                 )
-            mask = read_mask(record.mask)
-            check_size(self.camera, record.camera, mask.shape[1], mask.shape[0], record.mask)
-            yield record.mask, mask, record.camera
+            mask = read_mask(view.mask)
+            yield view.mask, mask, view.camera(self.camera, mask.shape[1], mask.shape[0])
 
 
 def find_pairs(

@@ -21,6 +21,18 @@ def from_vectors(vectors: Array) -> Array:
     return rotation
 
 
+def from_quaternion(w: float, x: float, y: float, z: float) -> Array:
+    """The rotation [3, 3] of a quaternion, which need not have length 1."""
+    s = 2.0 / max(w * w + x * x + y * y + z * z, 1e-300)
+    return np.array(
+        [
+            [1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y)],
+        ]
+    )
+
+
 def cross_product_matrix(vectors: Array) -> Array:
     """The matrices [..., 3, 3] whose product with a vector w is ``vectors`` x w."""
     x, y, z = np.moveaxis(vectors, -1, 0)

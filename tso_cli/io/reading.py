@@ -111,6 +111,11 @@ def shown(value: object) -> str:
     return text if len(text) <= _LONGEST_QUOTE else text[: _LONGEST_QUOTE - 3] + "..."
 
 
+def plain(text: str) -> str:
+    """A word of a file as a message may print it: as it is if it is short and printable."""
+    return text if text.isprintable() and 0 < len(text) <= _LONGEST_QUOTE else shown(text)
+
+
 def read_array(
     data: bytes, path: Path, kinds: str = "biufc", expected: str = "numbers"
 ) -> NDArray[Any]:

@@ -29,6 +29,10 @@ class Focal:
     IOU_TOLERANCE = 0.01
 
 
+# Largest difference of fx and fy, as a share, of pixels that a fit takes as square.
+SQUARE = 0.02
+
+
 class Points:
     """Numbers of points of a cloud."""
 
@@ -130,6 +134,7 @@ def fit_camera(
     known: NDArray[np.bool_] | None = None,
     focal: float | None = None,
     name: str = "mask",
+    K: ArrayLike | None = None,
 ) -> FittedCamera:
     """Find the camera that projects ``points`` [N, 3] onto the mask [H, W] in [0, 1].
 
@@ -145,9 +150,10 @@ def fit_camera(
     known : [H, W], False at ignored pixels.
     focal : mean of the prior on the focal length, px; None for the canonical camera's, 1.875 times
         the longer side of the image.
+    K : [3, 3], if the intrinsics are known; then only the pose is fitted.
 
-    Raises InputError if the cloud has no extent or under 16 points, or the mask has no object or no
-    background.
+    Raises InputError if the cloud has no extent or under 16 points, the mask has no object or no
+    background, or the pixels of K are not square.
     """
     array = as_points(points)
     if len(array) < Points.FEWEST:
@@ -159,7 +165,14 @@ def fit_camera(
     local = _spread_points((array - centre) / unit)
     image = np.asarray(mask, dtype=np.float32)
     height, width = image.shape
-    view = View(image, Camera.canonical(width, height), known, name)
+    camera, deviation = Camera.canonical(width, height), Focal.DEVIATION
+    if K is not None:
+        camera, deviation = replace(camera, K=np.asarray(K)), 0.0
+        fx, fy = camera.K[0, 0], camera.K[1, 1]
+        if abs(fx - fy) > SQUARE * fx:
+            raise InputError(f"K has fx = {fx:g} and fy = {fy:g}, expected square pixels for a fit")
+        focal = float(fx + fy) / 2.0
+    view = View(image, camera, known, name)
     crop = _Crop.around(view)
     focal = Focal.MEAN * max(width, height) if focal is None else focal
 
@@ -170,11 +183,11 @@ def fit_camera(
     fine_points, coarse_points = local[: FINE.points], local[: COARSE.points]
     poses, score = starts(fine_points, coarse, coarse_focal)
     poses = poses[distinct(poses, score, COARSE.degrees, COARSE.poses)]
-    prior = coarse_focal, Focal.DEVIATION
+    prior = coarse_focal, deviation
     poses = improve(coarse_points, poses, coarse, COARSE.steps, prior, COARSE.robust)
     score = closed_iou(fine_points, poses, coarse, _spacing(fine_points))
     poses = poses[distinct(poses, score, FINE.degrees, FINE.poses)].resized(zoom)
-    prior = fine_focal, Focal.DEVIATION
+    prior = fine_focal, deviation
     poses = improve(fine_points, poses, fine, FINE.steps, prior, FINE.robust)
     spacing = _spacing(local)
     score = closed_iou(local, poses, fine, spacing)
@@ -188,6 +201,10 @@ def fit_camera(
         for i in range(1, len(poses))
         if not _same_by_symmetry(local, poses.R[0], poses.R[i], spacing)
     )
+    if K is not None:
+        gap = ious[0] - alternatives[0].iou if alternatives else ious[0]
+        cameras = [replace(one, K=camera.K) for one in cameras[:1]]
+        return FittedCamera(cameras[0], ious[0], gap, alternatives, (focal, focal))
     # Focal lengths that fit as well after the rest of the pose is fitted to them.
     repeats = np.zeros(len(Focal.FACTORS), dtype=np.int64)
     fixed = replace(poses[repeats], focal=fine_focal * Focal.FACTORS)

@@ -25,7 +25,8 @@ from ..optimisation.adam import Adam
 from ..optimisation.loop import minimise
 from ..optimisation.parameters import PointParameters
 from ..refinement.scene import RefineScene
-from .load import NO_FILE, Placing, Scene, ViewFiles, camera_source, load_views, require_same_size
+from .load import Placing, Scene
+from .views import NO_FILE, ViewFiles, load_views, require_same_size
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
@@ -64,7 +65,8 @@ def load_network_scene(
     """
     ignore = [ignore_file] if ignore_file else []
     files = ViewFiles([mask_file], camera_file, invert=invert, ignore=ignore)
-    (view,), (camera_file,) = load_views(files)
+    (view,), (origin,) = load_views(files)
+    camera_file = origin.file
     view = as_meant(view, files.assumptions)
     image = read_image(image_file)
     require_same_size(image_file, image.shape, mask_file, view.mask.shape)
@@ -100,7 +102,7 @@ def load_network_scene(
         view,
         network,
         config,
-        camera_source(camera_file),
+        str(origin),
         camera_file is not None,
         world,
         placing,

@@ -1,0 +1,122 @@
+"""Which camera each mask gets, from files of tso and of other programs, and what the run says."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.corruption import assert_refused
+from tso_cli.scene.views import ViewFiles, load_views, summary_of
+
+FILES = Path(__file__).parents[1] / "io/files"
+
+
+@pytest.fixture
+def masks(tmp_path):
+    """Four masks, named like the pictures of the COLMAP model and told apart by their columns."""
+
+    def write(*names, size=(256, 256)):
+        paths = []
+        for number, name in enumerate(names):
+            array = np.zeros(size[::-1], np.uint8)
+            array[10:20, 10 : 20 + number] = 255
+            path = tmp_path / name
+            path.parent.mkdir(exist_ok=True)
+            Image.fromarray(array).save(path, format="PNG")
+            paths.append(path)
+        return paths
+
+    return write
+
+
+def test_masks_find_their_views_by_the_names_of_the_pictures(masks):
+    names = ["masks/002.png.png", "masks/000.png.png"]
+    views, origins = load_views(ViewFiles(masks(*names), FILES / "colmap"))
+    truth = json.loads((FILES / "colmap/truth.json").read_text())["views"]
+    for view, number in zip(views, (2, 0), strict=True):
+        np.testing.assert_allclose(view.camera.R, truth[number]["R"], atol=1e-9)
+    assert [origin.view for origin in origins] == ["002.png", "000.png"]
+    assert str(origins[0]) == f"{FILES / 'colmap'} (a COLMAP model; 002.png)"
+    assert summary_of(origins) == f"cameras of {FILES / 'colmap'} (a COLMAP model)"
+
+
+def test_other_names_take_the_views_in_their_order_and_the_run_says_so(masks):
+    paths = masks("a.png", "b.png", "c.png", "d.png")
+    _, origins = load_views(ViewFiles(paths, FILES / "colmap"))
+    assert [origin.view for origin in origins] == ["000.png", "001.png", "002.png", "003.png"]
+    assert summary_of(origins).endswith("(a COLMAP model; views in the order of the masks)")
+    assert_refused(
+        r"holds 4 views \(000\.png, .*\), found 2 masks; expected as many, or masks named like",
+        load_views,
+        ViewFiles(paths[:2], FILES / "colmap"),
+    )
+    assert_refused(
+        r"none of its 4 views \(000\.png, .*\) names the mask .*a\.png, expected one; name the",
+        load_views,
+        ViewFiles(paths[:1], FILES / "colmap"),
+    )
+
+
+def test_K_of_a_larger_picture_is_scaled_to_the_mask_and_the_run_says_so(masks):
+    (mask,) = masks("000.png", size=(128, 128))
+    (view,), (origin,) = load_views(ViewFiles([mask], FILES / "colmap"))
+    np.testing.assert_allclose(view.camera.K, [[240, 0, 63.5], [0, 240, 63.5], [0, 0, 1]])
+    assert origin.notes == ("K scaled from 256x256 to 128x128",)
+    (turned,) = masks("001.png", size=(128, 256))
+    assert_refused(
+        "image 2: is for a picture of 256x256, the mask is 128x256, expected the same proportions",
+        load_views,
+        ViewFiles([turned], FILES / "colmap"),
+    )
+
+
+def test_a_mask_next_to_a_foreign_camera_file_takes_it_unasked(masks, tmp_path):
+    (mask,) = masks("r_1.png")
+    table = (FILES / "nerf/transforms_train.json").read_bytes()
+    (tmp_path / "transforms.json").write_bytes(table)
+    (view,), (origin,) = load_views(ViewFiles([mask]))
+    assert origin.view == "r_1"
+    assert view.camera.K[0, 0] == pytest.approx(480.0)
+
+
+def test_masks_of_a_lens_with_distortion_are_undistorted_with_what_belongs_to_them(masks, tmp_path):
+    (mask,) = masks("frame_00001.png")
+    document = json.loads((FILES / "nerfstudio/transforms.json").read_text())
+    (tmp_path / "transforms.json").write_text(json.dumps(document | {"k1": 0.3}))
+    (view,), (origin,) = load_views(ViewFiles([mask], tmp_path / "transforms.json"))
+    assert origin.notes == ("lens distortion undone",)
+    assert view.known is not None
+    assert not view.known[0, 0]
+    (tmp_path / "transforms.json").write_text(json.dumps(document))
+    (plain,), (origin,) = load_views(ViewFiles([mask], tmp_path / "transforms.json"))
+    assert origin.notes == ()
+    # The square stands near a corner, which this lens moves outward.
+    rows = [np.nonzero(one.inside)[0].min() for one in (plain, view)]
+    assert rows[1] > rows[0]
+
+
+def test_poses_without_K_take_it_from_another_file(masks):
+    log, info = (FILES / "cameras" / n for n in ("open3d_trajectory.log", "camera_info.yaml"))
+    files = ViewFiles(masks("mask.png"), log, intrinsics=info)
+    (view,), (origin,) = load_views(files)
+    truth = json.loads((FILES / "cameras/own.json").read_text())
+    np.testing.assert_allclose(view.camera.K, truth["K"])
+    np.testing.assert_allclose(view.camera.t, truth["t"], atol=1e-6)
+    assert origin.notes == (f"K of {info}",)
+    assert_refused("has a pose but no focal length", load_views, replace(files, intrinsics=None))
+    assert_refused("has no focal length, expected K", load_views, replace(files, intrinsics=log))
+
+
+def test_a_windows_path_in_a_camera_file_names_its_mask(masks, tmp_path):
+    paths = masks("masks/b.png", "masks/a.png")
+    truth = json.loads((FILES / "cameras/own.json").read_text())
+    document = [
+        truth | {"mask": f"masks\\{name}.png", "t": [0, 0, z]} for name, z in (("a", 2), ("b", 3))
+    ]
+    (tmp_path / "win.json").write_text(json.dumps(document))
+    views, origins = load_views(ViewFiles(paths, tmp_path / "win.json"))
+    assert [view.camera.t[2] for view in views] == [3.0, 2.0]
+    assert all(origin.by_name for origin in origins)

@@ -1,0 +1,80 @@
+"""Camera files: those of tso and of other programs, and which view belongs to which mask."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...errors import InputError
+from ...geometry.camera import Camera
+from .formats import FORMATS, read_partial_cameras, words_of
+from .matching import names_mask, paired
+from .record import CameraRecord, PartialCamera, of_pixels
+from .write import camera_text, write_cameras
+
+# Files that are looked for next to a mask, after MASKSTEM.camera.json.
+USUAL_NAMES = ("camera.json", "cameras.json", "transforms.json")
+
+
+def find_camera(mask_path: Path) -> Path | None:
+    """The camera file in the folder of a mask, or None.
+
+    That is the first of ``MASKSTEM.camera.json``, ``camera.json``, ``cameras.json`` (as
+    `tso render` names it) and ``transforms.json`` that exists.
+    """
+    for name in (f"{mask_path.stem}.camera.json", *USUAL_NAMES):
+        path = mask_path.with_name(name)
+        if path.is_file():
+            return path
+    return None
+
+
+def read_cameras(path: str | Path) -> list[CameraRecord]:
+    """Read all views of a camera file, at least one; each must know its size.
+
+    Raises InputError, which names the file and the key, if the file is wrong.
+    """
+    path = Path(path)
+    records = []
+    for view in read_partial_cameras(path)[0]:
+        if view.size is None:
+            where = f"{view.title}." if view.title else ""
+            raise InputError(f"{path}: {where}width is missing, expected width and height")
+        records.append(CameraRecord(view.camera(path, *view.size), view.mask, view.image))
+    return records
+
+
+def read_camera(
+    path: str | Path, width: int, height: int, mask: str | Path | None = None
+) -> Camera:
+    """Read the camera of the file ``mask``, which has ``width`` x ``height`` pixels.
+
+    If the camera file has several views, exactly one of them must name the file ``mask``. If the
+    view is of a larger or smaller picture, its K is scaled. Raises InputError if no view or several
+    views name the mask, if the proportions differ, or as `read_partial_cameras`.
+    """
+    path = Path(path)
+    views, _ = read_partial_cameras(path)
+    if mask is not None:
+        return paired(path, views, [Path(mask)])[0][0].camera(path, width, height)
+    if len(views) > 1:
+        raise InputError(f"{path}: 0 of its {len(views)} views name a mask, expected one")
+    return views[0].camera(path, width, height)
+
+
+def named_masks(
+    path: Path, camera_format: str | None = None, object_id: int | None = None
+) -> list[Path]:
+    """The masks that the views of a camera file name, in the order of the views.
+
+    Raises InputError as `read_partial_cameras`, or if a view names no mask.
+    """
+    views, _ = read_partial_cameras(path, camera_format, object_id)
+    masks = [view.mask for view in views]
+    if None in masks:
+        where = f"views[{masks.index(None)}] of {len(masks)}"
+        raise InputError(
+            f"{path}: {where} names no mask, expected a mask in each view, or MASK arguments"
+        )
+    return [mask for mask in masks if mask is not None]

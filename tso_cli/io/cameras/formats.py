@@ -1,0 +1,149 @@
+"""The formats of cameras: which one a file has, and its reader, imported when it is met."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError
+from .record import PartialCamera
+from .source import CameraSource
+
+ENTRY_POINTS = "tso.cameras"
+"""Group of the entry points of further readers: objects with ``recognises`` and ``read``."""
+
+# Name for `camera_format` -> what it is, and where it may be found: "json", "text", "yaml", "zip"
+# (.npz and .pt), "npy", "glb" or "folder". Tried in this order.
+FORMATS = {
+    "tso": ("tso's own camera file", "json"),
+    "transforms": ("transforms.json of NeRF, Blender, nerfstudio or instant-ngp", "json folder"),
+    "3dgs": ("cameras.json of 3D Gaussian splatting", "json"),
+    "bop": ("scene_camera.json and scene_gt.json of BOP", "json folder"),
+    "open3d": ("Open3D's pinhole camera or trajectory", "json text"),
+    "pix3d": ("annotations of Pix3D", "json"),
+    "gltf": ("cameras of a glTF or GLB scene", "json glb"),
+    "kaolin": ("kaolin's camera", "json"),
+    "matrices": ("K, R, t, P or 4x4 matrices", "json npy zip text"),
+    "colmap": ("a COLMAP model", "folder text"),
+    "opencv": ("OpenCV FileStorage, ROS camera_info or Kalibr", "yaml json"),
+    "pytorch3d": ("PyTorch3D cameras", "zip"),
+    "middlebury": ("a _par.txt of Middlebury", "text"),
+    "r2n2": ("rendering_metadata.txt of 3D-R2N2", "text"),
+}
+# What files that are recognised and not read begin with: what they are, and what to do.
+NOT_READ = (
+    (rb"SQLite format 3", "a COLMAP database, which holds no poses; use the model: a folder with "
+     "cameras.bin and images.bin"),
+    (rb"NVM_V3", "a VisualSFM model; convert it: colmap model_converter, or export a COLMAP model"),
+    (rb"# Bundle file", "a Bundler model; convert it: export a COLMAP model"),
+    (rb"\s*(<\?xml[^>]*>)?\s*<document", "a Metashape file; export cameras as COLMAP or "
+     "as a transforms.json"),
+    (rb"BLENDER", "a Blender file; export the scene with its cameras as .glb"),
+    (rb"Kaydara FBX", "an FBX scene; export it as .glb"),
+    (rb"MATLAB 5.0", "a MATLAB file; store K, R and t with numpy.savez"),
+    (rb"\x89HDF", "an HDF5 file; store K, R and t with numpy.savez"),
+    (rb"\x80[\x02-\x05]", "a pickle, which can run code; store K, R and t with numpy.savez"),
+)  # fmt: skip
+
+
+def read_partial_cameras(
+    path: Path, camera_format: str | None = None, object_id: int | None = None
+) -> tuple[list[PartialCamera], str]:
+    """The views of a camera file or folder, at least one, and the name of its format.
+
+    The content decides the format, unless ``camera_format`` names it. ``object_id`` chooses the
+    object of a data set with several. Raises InputError if no reader knows the file, or if the
+    file is wrong.
+    """
+    source = CameraSource(path)
+    if camera_format is not None:
+        name = camera_format
+        reader = _named(name)
+    else:
+        name, reader = _recognised(source)
+    if name == "bop":
+        views = reader.read(source, object_id)
+    elif object_id is not None:
+        raise InputError(
+            f"{path}: is {words_of(name)}, `object` {object_id} chooses an object of "
+            f"{FORMATS['bop'][0]}"
+        )
+    else:
+        views = reader.read(source)
+    if not views:
+        raise InputError(f"{path}: is {words_of(name)} and holds no camera, expected one or more")
+    return views, name
+
+
+def words_of(name: str) -> str:
+    """What the format ``name`` is, in words."""
+    return FORMATS[name][0] if name in FORMATS else f"the format {name}"
+
+
+def _module(name: str) -> Any:
+    return import_module(f".{'own' if name == 'tso' else 'of_' + name}", __package__)
+
+
+def _named(name: str) -> Any:
+    if name in FORMATS:
+        return _module(name)
+    plugins = _plugins()
+    if name not in plugins:
+        known = ", ".join([*FORMATS, *plugins])
+        raise InputError(f"`camera_format` is {name!r}, expected one of {known}")
+    return plugins[name]()
+
+
+def _recognised(source: CameraSource) -> tuple[str, Any]:
+    """The format of a file, and its reader."""
+    for pattern, advice in NOT_READ:
+        if re.match(pattern, source.data):
+            raise InputError(f"{source.path}: is {advice}")
+    container = _container(source)
+    for name, (_, containers) in FORMATS.items():
+        if container in containers.split():
+            module = _module(name)
+            if module.recognises(source):
+                return name, module
+    for name, load in _plugins().items():
+        reader = load()
+        if reader.recognises(source):
+            return name, reader
+    if container == "json" or source.path.suffix.lower() == ".json":
+        # Its reader says what is wrong with the file, in the terms of tso's own format.
+        return "tso", _module("tso")
+    raise InputError(
+        f"{source.path}: is no camera file that tso knows, expected one of: "
+        f"{', '.join(FORMATS)} (`camera_format`)"
+    )
+
+
+def _container(source: CameraSource) -> str:
+    data = source.data
+    if source.is_folder:
+        return "folder"
+    if data[:4] == b"glTF":
+        return "glb"
+    if data[:4] == b"PK\x03\x04":
+        return "zip"
+    if data[:6] == b"\x93NUMPY":
+        return "npy"
+    if source.looks_like_json:
+        return "json"
+    try:
+        head = source.text[:4096]
+    except InputError:
+        return "binary"
+    markup = head.startswith(("%YAML", "<?xml", "<opencv_storage"))
+    keys = re.search(r"^[A-Za-z_][\w-]*\s*:(\s|$)", head, re.MULTILINE)
+    return "yaml" if markup or keys else "text"
+
+
+def _plugins() -> dict[str, Callable[[], Any]]:
+    """Name of a format -> what loads the reader of another package."""
+    from importlib.metadata import entry_points
+
+    return {point.name: point.load for point in entry_points(group=ENTRY_POINTS)}

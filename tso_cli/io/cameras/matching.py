@@ -1,0 +1,105 @@
+"""Which view of a camera file belongs to which mask."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...errors import InputError
+from .record import PartialCamera
+
+# Endings that files of pictures and masks have; a mask may have several, as in 0001.jpg.png.
+_ENDINGS = (
+    ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".npy", ".npz", ".pt",
+    ".exr", ".mask", "_mask", "-mask",
+)  # fmt: skip
+# How many names of views a message lists.
+_LISTED = 5
+
+
+def paired(
+    path: Path, views: Sequence[PartialCamera], masks: Sequence[Path]
+) -> tuple[list[PartialCamera], bool]:
+    """The view of each mask, and whether names decided it (else the order did).
+
+    The first of these rules that gives every mask a view of its own is used:
+
+    1. a view names the path of the mask;
+    2. a view names a file in a folder of the same name with the same stem;
+    3. a view names a file with the same stem: the name without folders and endings of pictures.
+
+    Otherwise the first view belongs to the first mask, and so on. Raises InputError if views and
+    masks then differ in number, or if a view names a mask at another place.
+    """
+    for names in (names_mask, _same_folder_and_stem, _same_stem):
+        found = [[i for i, view in enumerate(views) if names(view, mask)] for mask in masks]
+        if all(len(numbers) == 1 for numbers in found):
+            chosen = [numbers[0] for numbers in found]
+            if len(set(chosen)) == len(masks):
+                return [views[i] for i in chosen], True
+    if len(views) != len(masks):
+        raise _no_order(path, views, masks)
+    for number, (view, mask) in enumerate(zip(views, masks, strict=True)):
+        naming = [i for i, other in enumerate(views) if names_mask(other, mask)]
+        if naming and number not in naming:
+            raise InputError(
+                f"{path}: the mask {mask} is named by views[{naming[0]}] and given at place "
+                f"{number}, expected the same order"
+            )
+        if not naming and view.mask is not None:
+            warnings.warn(
+                f"{path}: {view.title or 'its one view'} names the mask {view.mask}, used for "
+                f"{mask}",
+                stacklevel=2,
+            )
+    return list(views), False
+
+
+def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path]) -> InputError:
+    names = [view.label for view in views[:_LISTED]]
+    more = ", ..." if len(views) > _LISTED else ""
+    listed = f"{', '.join(names)}{more}"
+    if len(masks) == 1:
+        return InputError(
+            f"{path}: none of its {len(views)} views ({listed}) names the mask {masks[0]}, "
+            "expected one; name the mask like the picture of its view"
+        )
+    return InputError(
+        f"{path}: holds {len(views)} view{'s' if len(views) > 1 else ''} ({listed}), found "
+        f"{len(masks)} masks; expected as many, or masks named like the pictures of the views"
+    )
+
+
+def names_mask(view: PartialCamera, mask: Path) -> bool:
+    """Whether a view names the file ``mask``, perhaps by another path."""
+    return view.mask is not None and os.path.realpath(view.mask) == os.path.realpath(mask)
+
+
+def _names_of(view: PartialCamera) -> list[str]:
+    files = [file.as_posix() for file in (view.mask, view.image) if file is not None]
+    return [*files, *view.names]
+
+
+def _same_stem(view: PartialCamera, mask: Path) -> bool:
+    return stem(mask.name) in [stem(name) for name in _names_of(view)]
+
+
+def _same_folder_and_stem(view: PartialCamera, mask: Path) -> bool:
+    folder = mask.absolute().parent.name
+    for name in _names_of(view):
+        parts = name.replace("\\", "/").split("/")
+        if len(parts) > 1 and parts[-2] == folder and stem(parts[-1]) == stem(mask.name):
+            return True
+    return False
+
+
+def stem(name: str) -> str:
+    """The name of a picture without folders and endings, in small letters."""
+    text = name.replace("\\", "/").rsplit("/", 1)[-1].casefold()
+    while True:
+        ending = next((e for e in _ENDINGS if text.endswith(e) and len(text) > len(e)), "")
+        if not ending:
+            return text
+        text = text[: -len(ending)]

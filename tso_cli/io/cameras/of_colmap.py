@@ -1,0 +1,225 @@
+"""A COLMAP model: a folder with ``cameras`` and ``images``, as .txt or .bin; or ``cameras.txt``.
+
+COLMAP has the axes and the pose of OpenCV. Its pixel centres lie at halves.
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import InputError
+from ...geometry.arrays import Array
+from ...geometry.distortion import Distortion
+from ...geometry.rotations import from_quaternion
+from ..reading import plain, shown
+from .own import relative_to
+from .record import PartialCamera, matrix_of, of_pixels
+from .source import CameraSource
+
+_BELOW = ("", "sparse/0", "sparse", "colmap/sparse/0")  # where a model may lie in a folder
+# Number, name and how many parameters, of the models in COLMAP's models.h.
+_MODELS = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
+    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
+}  # fmt: skip
+_COUNTS = dict(_MODELS.values())
+_ONE_FOCAL = (
+    "SIMPLE_PINHOLE",
+    "SIMPLE_RADIAL",
+    "RADIAL",
+    "SIMPLE_RADIAL_FISHEYE",
+    "RADIAL_FISHEYE",
+)
+
+
+class _Lens(NamedTuple):
+    """A row of ``cameras``."""
+
+    size: tuple[int, int]
+    K: Array
+    distortion: Distortion
+
+
+def recognises(source: CameraSource) -> bool:
+    if source.is_folder:
+        return _model_in(source.path) is not None
+    first = source.words[0] if source.words else []
+    return len(first) >= 7 and first[0].isdecimal() and first[1] in _COUNTS
+
+
+def read(source: CameraSource) -> list[PartialCamera]:
+    if not source.is_folder:
+        # cameras.txt alone; its folder has the poses, if there are any.
+        if source.path.with_name("images.txt").is_file():
+            return _from_text(source.path.parent)
+        lenses = _lenses_of_text(source)
+        return [_view(source, f"camera {number}", lens, None, None, None)
+                for number, lens in lenses.items()]  # fmt: skip
+    folder = _model_in(source.path)
+    if folder is None:
+        raise InputError(
+            f"{source.path}: holds no COLMAP model, expected cameras and images (.bin or .txt) in "
+            "it or in sparse/0"
+        )
+    if (folder / "cameras.bin").is_file():
+        return _from_binary(folder)
+    return _from_text(folder)
+
+
+def _model_in(folder: Path) -> Path | None:
+    for below in _BELOW:
+        for suffix in (".bin", ".txt"):
+            names = [folder / below / f"{name}{suffix}" for name in ("cameras", "images")]
+            if all(name.is_file() for name in names):
+                return folder / below
+    return None
+
+
+def _view(
+    source: CameraSource,
+    where: str,
+    lens: _Lens,
+    quaternion: list[float] | None,
+    t: list[float] | None,
+    name: str | None,
+) -> PartialCamera:
+    R = None if quaternion is None else _rotation(source, where, quaternion)
+    shift = None if t is None else source.matrix(f"{where}: t", t, (3,))
+    image = relative_to(source.path, name) if name else None
+    K = of_pixels(lens.K, lens.size)
+    return PartialCamera(where, K, R, shift, lens.size, distortion=lens.distortion, image=image)
+
+
+def _rotation(source: CameraSource, where: str, quaternion: list[float]) -> Array:
+    """[3, 3] of a quaternion w, x, y, z."""
+    q = source.matrix(f"{where}: quaternion", quaternion, (4,))
+    if np.linalg.norm(q) < 1e-6:
+        raise source.error(f"{where}: quaternion", str(q.tolist()), "one of length 1")
+    return from_quaternion(*q.tolist())
+
+
+def _lens(
+    source: CameraSource, where: str, model: str, size: tuple[int, int], values: list[float]
+) -> _Lens:
+    parameters = source.matrix(f"{where}: parameters", values, (_COUNTS[model],)).tolist()
+    if model in ("FOV", "THIN_PRISM_FISHEYE"):
+        raise InputError(
+            f"{source.path}: {where} has the lens model {model}, which tso does not undo; "
+            "undistort the pictures: colmap image_undistorter"
+        )
+    both = parameters[:1] if model in _ONE_FOCAL else []
+    fx, fy, cx, cy, *rest = both + parameters
+    K = matrix_of(fx, fy, cx, cy, corner=True)
+    fisheye = "FISHEYE" in model
+    return _Lens(
+        size, K, Distortion("equidistant" if fisheye else "radial-tangential", tuple(rest))
+    )
+
+
+def _require_known(source: CameraSource, where: str, model: str) -> None:
+    if model not in _COUNTS:
+        raise InputError(
+            f"{source.path}: {where} has the lens model {shown(model)}, expected one of "
+            f"{', '.join(_COUNTS)}; undistort the pictures: colmap image_undistorter"
+        )
+
+
+def _lenses_of_text(source: CameraSource) -> dict[str, _Lens]:
+    lenses = {}
+    for words in source.words:
+        try:
+            number, model, *values = words
+            width, height, *parameters = map(float, values)
+        except ValueError:
+            raise source.error(
+                "a row",
+                shown(" ".join(words[:4])),
+                "a number, a model, width, height and parameters",
+            ) from None
+        where = f"camera {plain(str(number))}"
+        _require_known(source, where, model)
+        size = source.pixels(f"{where}: ", width, height)
+        lenses[number] = _lens(source, where, model, size, parameters)
+    return lenses
+
+
+def _from_text(folder: Path) -> list[PartialCamera]:
+    lenses = _lenses_of_text(CameraSource(folder / "cameras.txt"))
+    source = CameraSource(folder / "images.txt")
+    # Two lines of each image: its pose, and its points, which may be an empty line.
+    lines = [line for line in source.text.splitlines() if not line.lstrip().startswith("#")]
+    views = []
+    for line in lines[::2]:
+        words = line.split(maxsplit=9)
+        if not words:
+            continue
+        where = f"image {plain(words[0])}"
+        try:
+            numbers = [float(word) for word in words[1:8]]
+            camera, name = words[8], words[9].strip()
+        except (ValueError, IndexError):
+            raise source.error(
+                where,
+                shown(" ".join(words[:4])),
+                "a quaternion, t, the number of a camera and a name",
+            ) from None
+        if camera not in lenses:
+            raise source.error(f"{where}: camera", shown(camera), "a camera of cameras.txt")
+        views.append(_view(source, where, lenses[camera], numbers[:4], numbers[4:], name))
+    return views
+
+
+class _Binary:
+    """Reads numbers of a binary file in their order."""
+
+    def __init__(self, path: Path) -> None:
+        self.source, self._at = CameraSource(path), 0
+
+    def take(self, form: str) -> tuple[float, ...]:
+        try:
+            values = struct.unpack_from("<" + form, self.source.data, self._at)
+        except struct.error:
+            raise InputError(f"{self.source.path}: ends early, expected a whole file") from None
+        self._at += struct.calcsize("<" + form)
+        return values
+
+    def name(self) -> str:
+        end = self.source.data.find(b"\0", self._at)
+        if end < 0:
+            raise InputError(f"{self.source.path}: ends early, expected a whole file")
+        text = self.source.data[self._at : end].decode("utf-8", "replace")
+        self._at = end + 1
+        return text
+
+    def skip(self, size: int) -> None:
+        self._at += size
+        if self._at > len(self.source.data):
+            raise InputError(f"{self.source.path}: ends early, expected a whole file")
+
+
+def _from_binary(folder: Path) -> list[PartialCamera]:
+    cameras, images = _Binary(folder / "cameras.bin"), _Binary(folder / "images.bin")
+    lenses = {}
+    for _ in range(int(cameras.take("Q")[0])):
+        number, model, width, height = cameras.take("iiQQ")
+        name, count = _MODELS.get(int(model), (f"number {model}", 0))
+        where = f"camera {number}"
+        _require_known(cameras.source, where, name)
+        size = cameras.source.pixels(f"{where}: ", width, height)
+        parameters = list(cameras.take(f"{count}d"))
+        lenses[number] = _lens(cameras.source, where, name, size, parameters)
+    views = []
+    for _ in range(int(images.take("Q")[0])):
+        number, *pose, camera = images.take("i7di")
+        name = images.name()
+        images.skip(24 * int(images.take("Q")[0]))
+        where = f"image {number}"
+        if camera not in lenses:
+            raise images.source.error(f"{where}: camera", str(camera), "a camera of cameras.bin")
+        views.append(_view(images.source, where, lenses[camera], pose[:4], pose[4:], name))
+    return views

@@ -1,0 +1,105 @@
+"""Matrices in .npz, .npy or text: K, R, t, P, or 4x4 matrices, under the names of JSON files.
+
+An array without a name says what it is by its shape: [3, 3] is K, [3, 4] is P, and [4, 4] a pose
+from world to camera. A stack of N of them is N views.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...errors import prefixed
+from ...geometry.arrays import Array
+from ..reading import read_array
+from .archives import arrays_of
+from .matrices import decomposed
+from .own import NAMES, OTHER_NAMES, matrices_of
+from .record import PartialCamera, from_world_to_camera, of_pixels
+from .source import CameraSource
+
+# Keys whose value is a matrix or a vector -> its dimensions.
+_DIMENSIONS = {"K": 2, "R": 2, "t": 1, "E": 2, "c2w": 2, "P": 2, "width": 0, "height": 0}
+
+
+def recognises(source: CameraSource) -> bool:
+    if source.looks_like_json:
+        return _unnamed_json(source)
+    if source.data[:4] == b"PK\x03\x04":
+        keys = arrays_of(source).keys()
+        return any(_key(key) in NAMES for key in keys) and "T" not in keys
+    if source.data[:6] == b"\x93NUMPY":
+        return True
+    rows = source.words
+    return len(rows) in (3, 4) and {len(words) for words in rows} in ({3}, {4})
+
+
+def _unnamed_json(source: CameraSource) -> bool:
+    document = source.json
+    return (
+        isinstance(document, list)
+        and len(document) in (3, 4)
+        and all(isinstance(row, list) and len(row) in (3, 4) for row in document)
+    )
+
+
+def read(source: CameraSource) -> list[PartialCamera]:
+    if source.data[:4] == b"PK\x03\x04":
+        return _named(source, arrays_of(source))
+    if source.looks_like_json:
+        values: Any = source.json
+    elif source.data[:6] == b"\x93NUMPY":
+        values = read_array(source.data, source.path)
+    else:
+        try:
+            values = [[float(word) for word in words] for words in source.words]
+        except ValueError:
+            raise source.error("the text", "not a matrix", "3x3, 3x4 or 4x4 numbers") from None
+    shapes = ((3, 3), (3, 4), (4, 4), (-1, 3, 3), (-1, 3, 4), (-1, 4, 4))
+    array = source.matrix("the array", values, *shapes)
+    stack = array[None] if array.ndim == 2 else array
+    titles = [""] if array.ndim == 2 else [f"[{i}]" for i in range(len(stack))]
+    return [_unnamed(source, title, one) for title, one in zip(titles, stack, strict=True)]
+
+
+def _unnamed(source: CameraSource, title: str, matrix: Array) -> PartialCamera:
+    if matrix.shape == (3, 3):
+        return PartialCamera(title, of_pixels(matrix, None))
+    if matrix.shape == (4, 4):
+        R, t = from_world_to_camera(matrix)
+        return PartialCamera(title, None, R, t)
+    with prefixed(f"{source.path}: {title}"):
+        K, R, t = decomposed(matrix)
+    return PartialCamera(title, of_pixels(K, None), R, t)
+
+
+def _key(key: str) -> str:
+    return OTHER_NAMES.get(key, key)
+
+
+def _named(source: CameraSource, arrays: dict[str, Any]) -> list[PartialCamera]:
+    given = {_key(key): np.asarray(value) for key, value in arrays.items() if _key(key) in NAMES}
+    # A column t has one dimension more than a vector t, as a stack of vectors has.
+    if "t" in given and given["t"].shape[-1:] == (1,) and given["t"].ndim > 1:
+        given["t"] = given["t"][..., 0]
+    stacks = {
+        key: len(value) for key, value in given.items()
+        if value.ndim == _DIMENSIONS[key] + 1
+    }  # fmt: skip
+    counts = set(stacks.values()) - {1}
+    if len(counts) > 1:
+        raise source.error("the length of its arrays", str(stacks), "one number of views")
+    views = []
+    count = counts.pop() if counts else 1
+    for number in range(count):
+        values = {}
+        for key, value in given.items():
+            one = value[number if len(value) > 1 else 0] if key in stacks else value
+            values[key] = one if one.ndim else one.item()
+        where = f"[{number}]." if count > 1 else ""
+        K, R, t, size = matrices_of(source, where, values)
+        views.append(
+            PartialCamera(where.rstrip("."), None if K is None else of_pixels(K, size), R, t, size)
+        )
+    return views

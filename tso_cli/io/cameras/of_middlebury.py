@@ -1,0 +1,41 @@
+"""``_par.txt`` of Middlebury's multi-view stereo: the number of pictures, then a line of each.
+
+A line is the name of the picture, K and R by rows, and t.
+"""
+
+from __future__ import annotations
+
+from ...errors import InputError
+from .own import relative_to
+from .record import PartialCamera, of_pixels
+from .source import CameraSource
+
+_NUMBERS = 21
+
+
+def recognises(source: CameraSource) -> bool:
+    rows = source.words[:2]
+    return (
+        len(rows) == 2 and len(rows[0]) == 1 and rows[0][0].isdecimal()
+        and len(rows[1]) == 1 + _NUMBERS
+    )  # fmt: skip
+
+
+def read(source: CameraSource) -> list[PartialCamera]:
+    views = []
+    for number, words in enumerate(source.words[1:], 1):
+        where = f"line {number + 1}"
+        try:
+            values = [float(word) for word in words[1:]]
+        except ValueError:
+            values = []
+        if len(values) != _NUMBERS:
+            raise InputError(
+                f"{source.path}: {where} has {len(words)} words, expected the name of a picture "
+                f"and {_NUMBERS} numbers: K, R and t"
+            )
+        numbers = source.matrix(where, values, (_NUMBERS,))
+        K, R, t = numbers[:9].reshape(3, 3), numbers[9:18].reshape(3, 3), numbers[18:]
+        image = relative_to(source.path, words[0])
+        views.append(PartialCamera(where, of_pixels(K, None), R, t, image=image))
+    return views

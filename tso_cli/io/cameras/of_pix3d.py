@@ -1,0 +1,43 @@
+"""Annotations of Pix3D: one object, or the list of ``pix3d.json``.
+
+``rot_mat x + trans_mat`` has x to the left, y up and z into the picture. ``focal_length`` is in mm
+of a sensor that is 32 mm wide, and the principal point is the middle of the picture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...errors import InputError
+from .own import named_file
+from .record import PYTORCH3D, PartialCamera, from_world_to_camera, of_widths
+from .source import CameraSource, kind
+
+SENSOR_WIDTH = 32.0  # mm
+_KEYS = {"rot_mat", "trans_mat", "focal_length", "img_size"}
+
+
+def recognises(source: CameraSource) -> bool:
+    document = source.json
+    first = document[0] if isinstance(document, list) and document else document
+    return isinstance(first, dict) and first.keys() >= _KEYS
+
+
+def read(source: CameraSource) -> list[PartialCamera]:
+    document = source.json if isinstance(source.json, list) else [source.json]
+    views = []
+    for number, entry in enumerate(document):
+        where = f"entry {number}"
+        if not isinstance(entry, dict) or not entry.keys() >= _KEYS:
+            raise source.error(where, kind(entry), f"an object with {', '.join(sorted(_KEYS))}")
+        focal = source.number(f"{where}: focal_length", entry["focal_length"]) / SENSOR_WIDTH
+        if focal <= 0.0:
+            raise InputError(f"{source.path}: {where}: focal_length is {focal:g}, expected > 0")
+        rotation = source.matrix(f"{where}: rot_mat", entry["rot_mat"], (3, 3))
+        translation = source.matrix(f"{where}: trans_mat", entry["trans_mat"], (3,))
+        width, height = source.matrix(f"{where}: img_size", entry["img_size"], (2,))
+        R, t = from_world_to_camera(np.c_[rotation, translation], PYTORCH3D)
+        mask, image = (named_file(source, entry.get(key)) for key in ("mask", "img"))
+        size = source.pixels(f"{where}: img_size: ", width, height)
+        views.append(PartialCamera(where, of_widths(focal), R, t, size, mask=mask, image=image))
+    return views

@@ -1,0 +1,213 @@
+"""tso's own camera file (JSON), and matrices in JSON under the names that programs give them.
+
+One camera is ``{"width": W, "height": H, "K": 3x3, "R": 3x3, "t": [3]}``. Several views are
+``{"views": [...]}`` or a plain list of such objects. Optional keys are ``"model"`` ("perspective"
+or "orthographic"), ``"mask"`` and ``"image"``, whose paths are relative to the file. For the
+conventions see `tso_cli.geometry.camera`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError, prefixed
+from ...geometry.arrays import Array
+from ..images import PIXEL_LIMIT
+from ..reading import shown
+from .matrices import decomposed
+from .record import (
+    PartialCamera,
+    from_camera_to_world,
+    from_world_to_camera,
+    matrix_of,
+    of_pixels,
+)
+from .source import CameraSource, kind
+
+# Key -> other names of the same thing in files of other programs. Each has one meaning.
+NAMES = {
+    "K": ("intrinsic", "intrinsics", "intrinsic_matrix", "camera_matrix", "cam_K"),
+    "R": ("rotation_matrix", "cam_R_w2c"),
+    "t": ("tvec", "cam_t_w2c"),
+    "E": ("extrinsic", "extrinsics", "extrinsic_matrix", "w2c", "world_to_camera", "world2cam"),
+    "c2w": ("cam2world", "camera_to_world"),
+    "P": ("projection_matrix",),
+    "width": ("w", "image_width"),
+    "height": ("h", "image_height"),
+}
+OTHER_NAMES = {other: key for key, others in NAMES.items() for other in others}
+_FOCAL = ("fx", "fy", "cx", "cy")
+_FILES = ("mask", "image")
+_KNOWN = (*NAMES, *_FOCAL, *_FILES, "model")
+# Keys that do not say which way they go: what to write instead.
+_UNCLEAR = {
+    "rotation": "R if it leads from world to camera, or the matrix c2w",
+    "translation": "t if X_camera = R X_world + t, or the matrix c2w",
+    "position": "t = -R position",
+    "quaternion": "the rotation matrix R",
+    "qvec": "the rotation matrix R",
+    "rvec": "the rotation matrix R",
+    "masks": "mask", "mask_path": "mask",
+    "images": "image", "image_path": "image", "file_path": "image",
+    "view": "views", "cameras": "views", "frames": "views",
+    "camera_model": "model", "projection": "model",
+}  # fmt: skip
+_EXPECTED = "width, height, K, R and t"
+
+
+def recognises(source: CameraSource) -> bool:
+    document = source.json
+    if isinstance(document, list):
+        document = document[0] if document else None
+    if not isinstance(document, dict):
+        return False
+    matrices = {*NAMES, *OTHER_NAMES, "fx"} - {"width", "height"}
+    given = [key for key in document if key in matrices]
+    # Programs with formats of their own nest objects under some of these names.
+    nested = any(isinstance(document[key], dict) for key in given)
+    tables = "frames" in document or "rotation" in document
+    return "views" in document or (bool(given) and not nested and not tables)
+
+
+def read(source: CameraSource) -> list[PartialCamera]:
+    path, document = source.path, source.json
+    views, ignored = {"": document}, set()
+    if isinstance(document, dict) and "views" in document:
+        cameras = document["views"]
+        if not isinstance(cameras, list) or not cameras:
+            raise source.error("views", kind(cameras), "a list of at least one camera")
+        ignored |= _unknown_keys(path, "", document, ("views",))
+        views = {f"views[{i}].": view for i, view in enumerate(cameras)}
+    elif isinstance(document, list) and document:
+        views = {f"[{i}].": view for i, view in enumerate(document)}
+    records = []
+    for where, view in views.items():
+        if not isinstance(view, dict):
+            place = f"{where[:-1]} is" if where else "holds"
+            raise InputError(
+                f"{path}: {place} {kind(view)}, expected an object with {_EXPECTED}"
+                + ("" if where else " or views")
+            )
+        ignored |= _unknown_keys(path, where, view, _KNOWN)
+        records.append(_record(source, where, view))
+    if ignored:
+        warnings.warn(
+            f"{path}: unknown keys are ignored: {shown(', '.join(sorted(ignored)))}", stacklevel=2
+        )
+    return records
+
+
+def _unknown_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[str]) -> set[str]:
+    """The keys to ignore; InputError for a key whose meaning is not clear."""
+    unknown = [key for key in view if key not in known and OTHER_NAMES.get(key) not in known]
+    canonical = {key.casefold(): key for key in ("views", *_KNOWN)}
+    for key in unknown:
+        if key in canonical.values() or key in OTHER_NAMES:
+            raise InputError(
+                f"{path}: the key {where}{key} is out of place, expected either views or one camera"
+            )
+        meant = _UNCLEAR.get(key.casefold()) or canonical.get(key.casefold())
+        if meant is not None:
+            raise InputError(
+                f"{path}: the key {where}{shown(key)} is not one of camera files, expected {meant}"
+            )
+    return set(unknown)
+
+
+def _record(source: CameraSource, where: str, view: dict[str, Any]) -> PartialCamera:
+    values: dict[str, Any] = {}
+    for key, value in view.items():
+        name = OTHER_NAMES.get(key, key)
+        if name in values:
+            raise InputError(
+                f"{source.path}: the key {where}{shown(key)} says {name} again, expected it once"
+            )
+        values[name] = value
+    K, R, t, size = matrices_of(source, where, values)
+    mask, image = (_file(source, where, values, key) for key in _FILES)
+    return PartialCamera(
+        where.rstrip("."),
+        None if K is None else of_pixels(K, size),
+        R,
+        t,
+        size,
+        values.get("model", "perspective"),
+        mask=mask,
+        image=image,
+    )
+
+
+def _size(source: CameraSource, where: str, values: dict[str, Any]) -> tuple[int, int] | None:
+    given = [key for key in ("width", "height") if key in values]
+    if not given:
+        return None
+    if len(given) == 1:
+        missing = "height" if given == ["width"] else "width"
+        raise InputError(f"{source.path}: {where}{missing} is missing, expected {_EXPECTED}")
+    width, height = source.pixels(where, values["width"], values["height"])
+    if width * height > PIXEL_LIMIT:
+        raise source.error(
+            f"{where}width x height", f"{width}x{height}", f"at most {PIXEL_LIMIT:,} pixels"
+        )
+    return width, height
+
+
+def matrices_of(
+    source: CameraSource, where: str, values: dict[str, Any]
+) -> tuple[Array | None, Array | None, Array | None, tuple[int, int] | None]:
+    """K, R, t and the size of the picture, as far as a view has them.
+
+    ``values`` has the keys of `NAMES`. Raises InputError if it has neither K nor a pose.
+    """
+    size = _size(source, where, values)
+    K = R = t = None
+    if "P" in values:
+        P = source.matrix(f"{where}P", values["P"], (3, 4), (12,)).reshape(3, 4)
+        with prefixed(f"{source.path}: {where}"):
+            K, R, t = decomposed(P)
+    if "K" in values:
+        K = source.matrix(f"{where}K", values["K"], (3, 3), (9,)).reshape(3, 3)
+    elif "fx" in values:
+        missing = [key for key in _FOCAL if key not in values]
+        if missing:
+            raise InputError(
+                f"{source.path}: {where}{missing[0]} is missing, expected fx, fy, cx and cy"
+            )
+        K = matrix_of(*[source.number(where + key, values[key]) for key in _FOCAL])
+    for key, pose in (("E", from_world_to_camera), ("c2w", from_camera_to_world)):
+        if key in values:
+            matrix = source.matrix(where + key, values[key], (4, 4), (3, 4), (16,), (12,))
+            R, t = pose(matrix.reshape(-1, 4))
+    if ("R" in values) != ("t" in values):
+        other = "t" if "R" in values else "R"
+        raise InputError(f"{source.path}: {where}{other} is missing, expected {_EXPECTED}")
+    if "R" in values:
+        R = source.matrix(f"{where}R", values["R"], (3, 3), (9,)).reshape(3, 3)
+        t = source.matrix(f"{where}t", values["t"], (3,), (3, 1)).reshape(3)
+    if K is None and R is None:
+        raise InputError(f"{source.path}: {where}K is missing, expected {_EXPECTED}")
+    return K, R, t, size
+
+
+def _file(source: CameraSource, where: str, view: dict[str, Any], key: str) -> Path | None:
+    value = view.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, str) or not value or min(value) < " ":
+        raise source.error(where + key, kind(value), "the path of a file")
+    return relative_to(source.path, value)
+
+
+def relative_to(path: Path, name: str) -> Path:
+    """The file ``name`` that the camera file ``path`` names, on Windows with backslashes."""
+    folder = path if path.is_dir() else path.parent
+    return folder / name.replace("\\", "/")
+
+
+def named_file(source: CameraSource, value: Any) -> Path | None:
+    """The file that ``value`` names; None if it is no name."""
+    is_name = isinstance(value, str) and bool(value) and min(value) >= " "
+    return relative_to(source.path, value) if is_name else None

@@ -1,0 +1,248 @@
+"""Files -> views: masks, their cameras, and what else is known of each picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..diagnosis.hypotheses import INVERTED, Assumption, assumptions_of
+from ..errors import InputError
+from ..geometry.camera import Camera
+from ..geometry.distortion import Distortion, undistorted
+from ..geometry.view import View
+from ..io.cameras import PartialCamera, find_camera, paired, read_partial_cameras, words_of
+from ..io.images import read_depth, read_image, read_mask
+
+NO_FILE = "(no camera file was given or found next to the mask)"
+OWN_FORMAT = "tso"
+
+
+@dataclass(frozen=True)
+class ViewFiles:
+    """The files of one or several views. ``ignore``, ``depth``, ``image`` : one a mask, or none.
+
+    camera : the file or folder of all cameras; None looks for files next to the masks.
+    camera_format : its format; None finds out. object_id : the object of a data set with several.
+    intrinsics : a camera file whose K is used in place of that of ``camera``.
+    assume : names of hypotheses that are taken as true. invert : "mask-inverted" is one of them.
+    ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
+    """
+
+    masks: Sequence[Path]
+    camera: Path | None = None
+    camera_format: str | None = None
+    object_id: int | None = None
+    intrinsics: Path | None = None
+    assume: Sequence[str] = ()
+    invert: bool = False
+    ignore: Sequence[Path] = ()
+    depth: Sequence[Path] = ()
+    depth_scale: float = 1.0
+    image: Sequence[Path] = ()
+
+    def one_each(self, name: str, plural: str, files: Sequence[Path]) -> Sequence[Path | None]:
+        """The file of each mask, None where there are no files; InputError for another number."""
+        if files and len(files) != len(self.masks):
+            raise InputError(
+                f"`{name}` {files[0]}: found {len(files)} {plural} for {len(self.masks)} masks, "
+                "expected one for each or none"
+            )
+        return files or [None] * len(self.masks)
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """How the files are meant; raises InputError for an unknown hypothesis or mask."""
+        named = assumptions_of(self.assume, list(map(str, self.masks)))
+        return (INVERTED, *named) if self.invert else named
+
+
+@dataclass(frozen=True)
+class CameraOrigin:
+    """Where the camera of a view is from.
+
+    file : None for the canonical camera. view : what the file calls the view, if it has several or
+        its format is not tso's. by_name : whether the name of the mask chose the view.
+    format : of the file. notes : what was done to its numbers.
+    """
+
+    file: Path | None
+    view: str = ""
+    by_name: bool = True
+    format: str = OWN_FORMAT
+    notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        if self.file is None:
+            return f"canonical {NO_FILE}"
+        more = [text for text in (self.words, self.view, *self.notes) if text]
+        return f"{self.file} ({'; '.join(more)})" if more else str(self.file)
+
+    @property
+    def words(self) -> str:
+        """What the format is, if it is not tso's own."""
+        return "" if self.format == OWN_FORMAT else words_of(self.format)
+
+
+def summary_of(origins: Sequence[CameraOrigin]) -> str:
+    """Where the cameras of all views are from, in few words."""
+    if len(origins) == 1:
+        (origin,) = origins
+        return f"camera {origin}" if origin.file else f"canonical camera {NO_FILE}"
+    files = list(dict.fromkeys(str(origin.file) for origin in origins))
+    named = ", ".join(files) if len(files) < 3 else f"{len(files)} files"
+    more = list(dict.fromkeys(text for o in origins for text in (o.words, *o.notes) if text))
+    if len(files) == 1 and not all(origin.by_name for origin in origins):
+        more.append("views in the order of the masks")
+    return f"cameras of {named}" + (f" ({'; '.join(more)})" if more else "")
+
+
+def load_views(files: ViewFiles) -> tuple[list[View], list[CameraOrigin]]:
+    """Read masks and their cameras.
+
+    A camera is from the file named, else from a file next to the mask, else (for a single mask) it
+    is the canonical one. Pictures of a lens with distortion are undistorted. Returns the views as
+    they were read, and where their cameras are from. Raises InputError if a file cannot be used,
+    sizes or numbers of files differ, or a mask is all object or all background.
+    """
+    ignore = files.one_each("ignore", "ignore maps", files.ignore)
+    partial, origins = _cameras(files)
+    views, found = [], []
+    for mask, ignored, camera, origin in zip(files.masks, ignore, partial, origins, strict=True):
+        view, scaled = _read_view(mask, camera, origin, ignored)
+        views.append(view)
+        found.append(replace(origin, notes=(*origin.notes, *scaled)))
+    views = with_depth_and_images(views, files)
+    for number, known in enumerate(partial):
+        lens = known.distortion if known else None
+        if lens and not lens.none:
+            views[number] = _without_distortion(views[number], lens)
+            notes = (*found[number].notes, "lens distortion undone")
+            found[number] = replace(found[number], notes=notes)
+    return views, found
+
+
+def view_without_camera(files: ViewFiles) -> View:
+    """The view of a single mask with the canonical pose, and K of `ViewFiles.intrinsics`."""
+    (mask,) = files.masks
+    (ignore,) = files.one_each("ignore", "ignore maps", files.ignore)
+    view, _ = _read_view(mask, None, CameraOrigin(None), ignore)
+    (view,) = with_depth_and_images([view], files)
+    if files.intrinsics is None:
+        return view
+    canonical = PartialCamera("", R=view.camera.R, t=view.camera.t)
+    partial = with_intrinsics(canonical, files.intrinsics, mask)
+    height, width = view.mask.shape
+    view = replace(view, camera=partial.camera(files.intrinsics, width, height))
+    lens = partial.distortion
+    return view if lens is None or lens.none else _without_distortion(view, lens)
+
+
+def _cameras(files: ViewFiles) -> tuple[list[PartialCamera | None], list[CameraOrigin]]:
+    """What is known of the camera of each mask, None for the canonical camera."""
+    sources = [files.camera or find_camera(mask) for mask in files.masks]
+    cameras: list[PartialCamera | None] = [None] * len(sources)
+    origins = [CameraOrigin(None)] * len(sources)
+    for source in dict.fromkeys(sources):
+        numbers = [number for number, other in enumerate(sources) if other == source]
+        masks = [files.masks[i] for i in numbers]
+        if source is None:
+            if len(sources) > 1:
+                raise InputError(
+                    f"{masks[0]}: no camera file was given or found next to it, "
+                    f"expected `camera` FILE with a view for each of {len(sources)} masks"
+                )
+            continue
+        given, name = read_partial_cameras(source, files.camera_format, files.object_id)
+        chosen, by_name = paired(source, given, masks)
+        for number, camera in zip(numbers, chosen, strict=True):
+            cameras[number] = camera
+            # In tso's own format the views that masks name need no further words.
+            shown = name != OWN_FORMAT or not by_name
+            view = camera.label if shown and (len(given) > 1 or name != OWN_FORMAT) else ""
+            origins[number] = CameraOrigin(source, view, by_name, name)
+    if files.intrinsics is not None:
+        for number, (posed, origin) in enumerate(zip(cameras, origins, strict=True)):
+            if posed is None:
+                raise InputError(
+                    f"`intrinsics` {files.intrinsics}: says nothing about the pose, expected "
+                    "`camera` FILE or `camera` fit with it"
+                )
+            cameras[number] = with_intrinsics(posed, files.intrinsics, files.masks[number])
+            note = f"K of {files.intrinsics}"
+            origins[number] = replace(origin, notes=(*origin.notes, note))
+    return cameras, origins
+
+
+def with_intrinsics(camera: PartialCamera, file: Path, mask: Path) -> PartialCamera:
+    """``camera`` with K and lens of another camera file, from its view of the same ``mask``."""
+    views, _ = read_partial_cameras(file)
+    view = views[0] if len(views) == 1 else paired(file, views, [mask])[0][0]
+    if view.intrinsics is None:
+        raise InputError(f"{file}: has no focal length, expected K for `intrinsics`")
+    return replace(camera, intrinsics=view.intrinsics, size=view.size, distortion=view.distortion)
+
+
+def _read_view(
+    mask_file: Path, camera: PartialCamera | None, origin: CameraOrigin, ignore_file: Path | None
+) -> tuple[View, list[str]]:
+    """A mask with its camera, and what was done to the camera's numbers."""
+    mask = read_mask(mask_file)
+    height, width = mask.shape
+    known = None
+    if ignore_file is not None:
+        known = read_mask(ignore_file) <= 0.5
+        require_same_size(ignore_file, known.shape, mask_file, mask.shape)
+    notes = []
+    if camera is None or origin.file is None:
+        full = Camera.canonical(width, height)
+    else:
+        full = camera.camera(origin.file, width, height)
+        if camera.size and camera.size != (width, height):
+            notes.append(f"K scaled from {camera.size[0]}x{camera.size[1]} to {width}x{height}")
+    return View(mask, full, known, name=str(mask_file)), notes
+
+
+def with_depth_and_images(views: Sequence[View], files: ViewFiles) -> list[View]:
+    """The views with the depth maps and photos of the ``files``."""
+    depth_files = files.one_each("depth", "depth maps", files.depth)
+    image_files = files.one_each("image", "images", files.image)
+    completed = []
+    for view, depth_file, image_file in zip(views, depth_files, image_files, strict=True):
+        if depth_file is not None:
+            depth = read_depth(depth_file, files.depth_scale)
+            require_same_size(depth_file, depth.shape, view.name, view.mask.shape)
+            view = replace(view, depth=depth)
+        if image_file is not None:
+            image = read_image(image_file)
+            require_same_size(image_file, image.shape, view.name, view.mask.shape)
+            view = replace(view, image=image[..., :3] / np.float32(255.0))
+        completed.append(view)
+    return completed
+
+
+def _without_distortion(view: View, lens: Distortion) -> View:
+    """The view that a camera without lens distortion would have; what it lacks is unknown."""
+    K = view.camera.K
+    mask, inside = undistorted(view.mask, K, lens)
+    if view.known is not None:
+        inside = inside & undistorted(view.known, K, lens, nearest=True)[0].astype(bool)
+    changed = {"mask": np.clip(mask, 0.0, 1.0), "known": None if inside.all() else inside}
+    if view.depth is not None:
+        changed["depth"] = undistorted(view.depth, K, lens, nearest=True)[0]
+    if view.image is not None:
+        changed["image"] = np.clip(undistorted(view.image, K, lens)[0], 0.0, 1.0)
+    return replace(view, **changed)
+
+
+def require_same_size(
+    file: Path, shape: tuple[int, ...], mask_file: Path | str, mask_shape: tuple[int, ...]
+) -> None:
+    """InputError where an image of that [H, W, ...] shape and a mask differ in size."""
+    if shape[:2] != mask_shape:
+        raise InputError(
+            f"{file}: is {shape[1]}x{shape[0]}, the mask {mask_file} is "
+            f"{mask_shape[1]}x{mask_shape[0]} (width x height), expected the same"
+        )
