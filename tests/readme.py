@@ -449,7 +449,14 @@ def stages() -> str:
     return markdown(["stage", *columns], rows)
 
 
+def plugin() -> str:
+    """The example of a reader, which a test runs."""
+    text = (ROOT / "tests/io/plugin_example.py").read_text()
+    return f"```python\n{text.split(chr(10) * 2, 1)[1].strip()}\n```"
+
+
 FIGURES = (
+    plugin,
     initial_error,
     advice,
     paper,

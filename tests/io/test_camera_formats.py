@@ -50,6 +50,7 @@ def assert_is(camera, truth, unit=1.0):
         "opencv.yaml",
         "kalibr_camchain.yaml",
         "temple_par.txt",
+        "pix3d.json",
         "camera.npz",
         "camera.pt",
     ],
