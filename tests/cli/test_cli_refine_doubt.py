@@ -248,10 +248,12 @@ def test_a_photo_in_place_of_a_mask_is_warned_of(folder, refine):
         assert warning.startswith("image.png: looks like a photo, grey in many places; expected")
 
 
-def test_an_unknown_assumption_lists_all(folder, refine):
-    run = refine(*POINTS, "--assume", "upside")
-    assert run.code == 2
-    assert all(name in run.err for name in HYPOTHESES)
+def test_an_unknown_assumption_names_the_likeliest_and_where_all_are_listed(folder, refine):
+    refusal = refine(*POINTS, "--assume", "upside").refusal
+    assert "such as mask-upside-down" in refusal
+    assert "--assume list" in refusal
+    listed = refine("--assume", "list").out
+    assert all(name in listed for name in HYPOTHESES)
 
 
 @pytest.mark.parametrize(

@@ -7,14 +7,14 @@ import pytest
 from tests.scenes import example
 from tso_cli import RefineConfig, RefineResult, refine
 from tso_cli.commands.sentences import (
-    GENERAL_ADVICE,
+    LOOK,
     OPTIONS_OF_NOTES,
     Words,
     shown,
     why_unmoved,
 )
 from tso_cli.diagnosis.confidence import FINDING, REASONS, Trust
-from tso_cli.diagnosis.examine import Diagnosis, NoOverlapError
+from tso_cli.diagnosis.examine import AXES_ADVICE, Diagnosis, NoOverlapError
 from tso_cli.diagnosis.findings import NOTES, Finding
 from tso_cli.diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
 
@@ -189,13 +189,13 @@ def no_overlap(diagnosis: Diagnosis, part=None) -> NoOverlapError:
             "it meets a part of the mask (columns 30 to 34, rows 20 to 24): is the rest something "
             "else? Erase it, or leave it out by --ignore FILE",
         ),
-        (Diagnosis(()), None, GENERAL_ADVICE),
+        (Diagnosis(()), None, f"{AXES_ADVICE}, {LOOK}"),
     ],
 )
 def test_cloud_and_mask_that_do_not_meet_come_with_advice(diagnosis, part, advice):
     error = ONE.no_overlap(no_overlap(diagnosis, part))
     assert str(error) == f"a.png: no point falls inside; {advice}"
-    assert "--check" in GENERAL_ADVICE
+    assert "--check" in LOOK
 
 
 # Results

@@ -40,6 +40,29 @@ def test_a_mistake_is_found_before_the_start(name):
         assert 0.1 < finding.gain <= finding.score
 
 
+@pytest.mark.parametrize("millimetres", [36, 32])
+def test_a_focal_length_in_millimetres_is_found_in_a_large_picture(millimetres):
+    scene = example("airplane")
+    width, height = 4 * scene.camera.width, 4 * scene.camera.height
+    camera = scene.camera.resized(width, height)
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] *= millimetres / width
+    mask = np.kron(scene.mask, np.ones((4, 4), np.float32))
+    view = replace(scene.view, mask=mask, known=None, camera=replace(camera, K=K))
+    found = explained(scene.target, [view]).of_input
+    assert f"focal-mm-{millimetres}" in [finding.name for finding in found]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_another_unit_of_the_focal_length_is_not_tried_where_pixels_are_plausible(name):
+    scene = example(name)
+    K = np.diag([0.2, 0.2, 1.0]) @ scene.camera.K
+    wide = replace(scene.view, camera=replace(scene.camera, K=K))
+    for view in (scene.view, wide):
+        names = [finding.name for finding in explained(scene.target, [view]).of_input]
+        assert not [one for one in names if HYPOTHESES[one].unit_of_focal]
+
+
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_right_input_is_not_suspicious(name):
     scene = example(name)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..diagnosis.confidence import FINDING
-from ..diagnosis.examine import AXES_ADVICE, NoOverlapError
+from ..diagnosis.examine import NoOverlapError
 from ..diagnosis.findings import Finding
 from ..diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
 from ..diagnosis.placement import describe_box
@@ -18,7 +18,7 @@ from ..refinement import RefineResult
 SMALL_DISPLACEMENT = 1e-3
 # Pairs of masks and cameras that are named.
 MOST_PAIRS = 3
-GENERAL_ADVICE = f"{AXES_ADVICE}, or look at the numbers with --check"
+LOOK = "or look at the numbers with --check"
 # What mends a symptom of a single view.
 OPTIONS = {"box": "a mask of its outline", "occluder": "--ignore FILE"}
 # Options that mend what a note says.
@@ -104,7 +104,7 @@ class Words:
 
     def no_overlap(self, error: NoOverlapError) -> InputError:
         """The error with advice by options."""
-        advice = self.suspicion(error.diagnosis.suspicious) or GENERAL_ADVICE
+        advice = self.suspicion(error.diagnosis.suspicious) or f"{error.advice}, {LOOK}"
         if error.part:
             advice = (
                 f"it meets a part of the mask ({describe_box(error.part)}): is the rest something "

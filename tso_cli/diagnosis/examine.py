@@ -17,7 +17,7 @@ from . import symptoms
 from .cells import Outline
 from .explain import OUTVOTED_SHARE, Explanation, explain
 from .findings import Finding
-from .hypotheses import Assumption
+from .hypotheses import Assumption, focal_in_pixels
 from .placement import Placement, part_met, place, why_apart
 
 # Points that are projected to compare silhouettes.
@@ -75,12 +75,14 @@ class NoOverlapError(InputError):
     ----------
     problem : what was found, without advice. diagnosis, cloud : of the input.
     part : the box of a connected part of the mask that the cloud meets well, or None.
+    advice : what to look at if nothing else is found.
     """
 
     problem: str
     diagnosis: Diagnosis
     cloud: ControlledCloud
     part: Box | None = None
+    advice: str = AXES_ADVICE
 
 
 def examine(
@@ -184,13 +186,15 @@ def _notes(
 def _no_overlap(
     problem: str, diagnosis: Diagnosis, placement: Placement, view: View
 ) -> NoOverlapError:
-    part = None
+    part, general = None, AXES_ADVICE
+    if not focal_in_pixels(view.camera):
+        general = f"the focal length is {view.camera.K[0, 0]:.3g} px, is K in pixels?"
     if diagnosis.suspicious:
         advice = f"it looks as if {' or '.join(one.says for one in diagnosis.suspicious)}"
     elif part := part_met(placement, view):
         advice = "it meets a part of the mask: is the rest something else?"
     else:
-        advice = AXES_ADVICE
+        advice = general
     error = NoOverlapError(f"{problem}; {advice}")
-    error.problem, error.diagnosis, error.part = problem, diagnosis, part
+    error.problem, error.diagnosis, error.part, error.advice = problem, diagnosis, part, general
     return error

@@ -11,7 +11,7 @@ import numpy as np
 from ..geometry.arrays import Array, Bits
 from .cells import Outline
 from .findings import Finding
-from .hypotheses import HYPOTHESES, Assumption
+from .hypotheses import HYPOTHESES, Assumption, focal_in_pixels
 
 
 class Margin:
@@ -83,7 +83,8 @@ def explain(
 
     ``boxes`` [V] : which masks are bounding boxes, which show nothing of the object's shape.
     """
-    candidates = _candidates(tuple(given))
+    not_in_pixels = not any(focal_in_pixels(outline.view.camera) for outline in outlines)
+    candidates = _candidates(tuple(given), not_in_pixels)
     as_given = np.array([outline.iou(points, given) for outline in outlines])
     ious = np.array(
         [[outline.iou(points, one.assumptions) for outline in outlines] for one in candidates]
@@ -119,10 +120,17 @@ def explain(
     return replace(found, of_views=of_views, weak=weak)
 
 
-def _candidates(given: tuple[Assumption, ...]) -> list[Candidate]:
-    """The given assumptions without one of them, and with one that was not given."""
+def _candidates(given: tuple[Assumption, ...], not_in_pixels: bool) -> list[Candidate]:
+    """The given assumptions without one of them, and with one that was not given.
+
+    ``not_in_pixels`` : whether the focal lengths, as read, cannot be in pixels.
+    """
     fewer = [Candidate(tuple(o for o in given if o is not one), one, True) for one in given]
-    more = [Assumption(hypothesis) for hypothesis in HYPOTHESES.values()]
+    more = [
+        Assumption(hypothesis)
+        for hypothesis in HYPOTHESES.values()
+        if not_in_pixels or not hypothesis.unit_of_focal
+    ]
     return fewer + [Candidate((*given, one), one, False) for one in more if one not in given]
 
 

@@ -23,8 +23,19 @@ from ..geometry.view import View
 MaskChange = Literal["", "inverted", "left-right", "upside-down"]
 
 
+# In longer sides of the picture. A shorter focal length has a field of view of over 127 degrees,
+# more than the widest lens of a phone: it is not in pixels.
+SHORTEST_FOCAL = 1.0 / 4.0
+
+
 def _as_read(camera: Camera) -> Camera:
     return camera
+
+
+def focal_in_pixels(camera: Camera) -> bool:
+    """Whether the focal length may be in pixels (`SHORTEST_FOCAL`)."""
+    longer = max(camera.width, camera.height)
+    return camera.model != "perspective" or bool(camera.K[0, 0] >= SHORTEST_FOCAL * longer)
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,8 @@ class Hypothesis:
     of_cloud : whether it is about the cloud, and so the same for all views.
     prior : IoU by which it must explain the views better than other hypotheses do. A start of
         another shape may be smaller or larger than the object too.
+    unit_of_focal : whether it is about a focal length that is not in pixels. It is only tried if
+        this may be so (`focal_in_pixels`).
     """
 
     name: str
@@ -47,6 +60,7 @@ class Hypothesis:
     mask: MaskChange = ""
     of_cloud: bool = False
     prior: float = 0.0
+    unit_of_focal: bool = False
 
     def __reduce__(self) -> tuple[Callable[[str], Hypothesis], tuple[str]]:
         # By name, since the functions of the table cannot be sent to another process.
@@ -93,6 +107,47 @@ def _image(factor: float) -> Callable[[Camera], Camera]:
     shift = (factor - 1.0) / 2.0
     change = np.array([[factor, 0.0, shift], [0.0, factor, shift], [0.0, 0.0, 1.0]])
     return lambda camera: replace(camera, K=change @ camera.K)
+
+
+def _of_shares(camera: Camera) -> Camera:
+    """K is in shares of width and height, with pixel centres at halves, as MoGe's."""
+    K = np.diag([float(camera.width), float(camera.height), 1.0]) @ camera.K
+    K[:2, 2] -= 0.5
+    return replace(camera, K=K)
+
+
+def _of_ndc(camera: Camera) -> Camera:
+    """K is in PyTorch3D's normalised device coordinates."""
+    half = min(camera.width, camera.height) / 2.0
+    K = np.diag([half, half, 1.0]) @ camera.K
+    K[:2, 2] = np.array([camera.width, camera.height]) / 2.0 - 0.5 - K[:2, 2]
+    return replace(camera, K=K)
+
+
+def _focal(change: Callable[[Camera], float]) -> Callable[[Camera], Camera]:
+    """The focal length is multiplied by ``change``."""
+
+    def changed(camera: Camera) -> Camera:
+        factor = change(camera)
+        K = camera.K.copy()
+        K[[0, 1, 0], [0, 1, 1]] *= factor
+        return replace(camera, K=K)
+
+    return changed
+
+
+def _of_sensor(millimetres: float) -> Callable[[Camera], Camera]:
+    """The focal length is in mm of a sensor of this width."""
+    return _focal(lambda camera: camera.width / millimetres)
+
+
+def _of_degrees(camera: Camera) -> float:
+    degrees = min(float(camera.K[0, 0]), 179.0)
+    return camera.width / 2.0 / np.tan(np.radians(degrees / 2.0)) / float(camera.K[0, 0])
+
+
+def _unit_of_focal(name: str, says: str, camera: Callable[[Camera], Camera]) -> Hypothesis:
+    return Hypothesis(name, says, camera=camera, unit_of_focal=True)
 
 
 def _principal_point_swapped(camera: Camera) -> Camera:
@@ -188,6 +243,23 @@ HYPOTHESES = {
         ),
         Hypothesis("K-of-half-size", "K is of an image half as wide", camera=_image(2.0)),
         Hypothesis("K-of-double-size", "K is of an image twice as wide", camera=_image(0.5)),
+        _unit_of_focal("K-normalised", "K is in shares of the width and height", _of_shares),
+        _unit_of_focal("K-ndc", "K is in normalised device coordinates, as PyTorch3D's", _of_ndc),
+        _unit_of_focal(
+            "focal-mm-36",
+            "the focal length is in mm, of a sensor 36 mm wide (focal-mm-32: 32 mm)",
+            _of_sensor(36.0),
+        ),
+        _unit_of_focal(
+            "focal-mm-32",
+            "the focal length is in mm, of a sensor 32 mm wide, as Pix3D's (focal-mm-36: 36 mm)",
+            _of_sensor(32.0),
+        ),
+        _unit_of_focal(
+            "focal-degrees",
+            "the focal length is the horizontal field of view in degrees",
+            _focal(_of_degrees),
+        ),
         Hypothesis(
             "principal-point-swapped",
             "x and y of the principal point are exchanged",
@@ -231,8 +303,8 @@ def assumptions_of(texts: Sequence[str], views: Sequence[str]) -> tuple[Assumpti
         name, at, view = text.partition("@")
         if name not in HYPOTHESES or (at and not view):
             raise InputError(
-                f"`assume` is {text!r}, expected one of {', '.join(HYPOTHESES)}, or NAME@MASK for "
-                "one mask of several"
+                f"`assume` is {text!r}, expected a name of `assume` list, such as {_like(name)}, "
+                "or NAME@MASK for one mask of several"
             )
         hypothesis = HYPOTHESES[name]
         if at and hypothesis.of_cloud:
@@ -243,6 +315,13 @@ def assumptions_of(texts: Sequence[str], views: Sequence[str]) -> tuple[Assumpti
             raise InputError(f"`assume` has {text} twice, expected it once")
         found.append(Assumption(hypothesis, _named(text, view, views) if at else ""))
     return tuple(found)
+
+
+def _like(name: str) -> str:
+    """The hypothesis whose name is most like ``name``."""
+    from difflib import get_close_matches
+
+    return next(iter(get_close_matches(name, HYPOTHESES, 1, 0.0)), "mask-inverted")
 
 
 def _named(text: str, view: str, views: Sequence[str]) -> str:

@@ -52,15 +52,17 @@ class Camera:
             )
         fx, fy = self.K[0, 0], self.K[1, 1]
         if min(fx, fy) <= 0.0:
+            mirrored = max(fx, fy) < 0.0 or min(fx, fy) < 0.0 < max(fx, fy)
+            advice = "; make it positive and negate that row of R and t" if mirrored else ""
             raise InputError(
-                f"K is singular or mirrored: fx = {fx:g}, fy = {fy:g}, expected both > 0"
+                f"K is singular or mirrored: fx = {fx:g}, fy = {fy:g}, expected both > 0{advice}"
             )
         with np.errstate(over="ignore", invalid="ignore"):
             error, handedness = np.abs(self.R @ self.R.T - np.eye(3)).max(), np.linalg.det(self.R)
         if not (error <= 1e-3 and handedness > 0.0):
             raise InputError(
                 f"R is not a rotation: |R R^T - I| = {error:.2g}, det R = {handedness:.3g}, "
-                "expected 0 and 1"
+                f"expected 0 and 1{_advice_for(self.R, handedness)}"
             )
 
     def _checked_array(self, name: str, shape: tuple[int, ...]) -> Array:
@@ -138,6 +140,16 @@ class Camera:
         if self.model == "perspective":
             visible &= depth > NEAR * longest_side(points)
         return pixels, depth, visible
+
+
+def _advice_for(R: Array, determinant: float) -> str:
+    """How to mend an R that is a rotation with a scale or a reflection in it."""
+    scale = abs(determinant) ** (1.0 / 3.0)
+    if not 0.0 < scale < np.inf or np.abs(R @ R.T / scale**2 - np.eye(3)).max() > 1e-3:
+        return ""
+    if determinant < 0.0:
+        return "; it mirrors: negate the row of R and t whose axis points the other way"
+    return f"; it has a scale: divide R and t by {scale:.6g}"
 
 
 def intrinsics(focal: float, width: int, height: int) -> Array:

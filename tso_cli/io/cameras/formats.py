@@ -19,9 +19,9 @@ ENTRY_POINTS = "tso.cameras"
 # (.npz and .pt), "npy", "glb" or "folder". Tried in this order.
 FORMATS = {
     "tso": ("tso's own camera file", "json"),
-    "transforms": ("transforms.json of NeRF, Blender, nerfstudio or instant-ngp", "json folder"),
-    "3dgs": ("cameras.json of 3D Gaussian splatting", "json"),
-    "bop": ("scene_camera.json and scene_gt.json of BOP", "json folder"),
+    "transforms": ("a transforms.json of NeRF, Blender or nerfstudio", "json folder"),
+    "3dgs": ("cameras of 3D Gaussian splatting", "json"),
+    "bop": ("a scene of BOP", "json folder"),
     "open3d": ("Open3D's pinhole camera or trajectory", "json text"),
     "pix3d": ("annotations of Pix3D", "json"),
     "gltf": ("cameras of a glTF or GLB scene", "json glb"),

@@ -61,7 +61,8 @@ class PartialCamera:
     def label(self) -> str:
         """The file that the view names, or its title."""
         file = self.mask or self.image
-        return plain(file.name if file else self.title)
+        name = file.name if file else self.title
+        return plain(name) if name else ""
 
     def camera(self, path: Path, width: int, height: int) -> Camera:
         """The camera for a mask of ``width`` x ``height``; ``path`` is the camera file.
