@@ -349,7 +349,7 @@ def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
         "folder.ply": r"folder\.ply: is a folder",
         "": "is a folder",
         "file/a.ply": "does not exist",
-        "cloud.las": r"'\.las' .*expected \.ply, \.npy, \.xyz, \.txt",
+        "cloud.las": r"'\.las' .*expected \.ply, \.glb, .* \.npy, .* \.pcd",
         "a" * 3000 + ".ply": "cannot be read",
         "nul\0.ply": "cannot be read",
         "pipe.ply": "not a regular file",
@@ -397,7 +397,7 @@ def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
     ]:
         with pytest.raises(error, match=message):
             write_cloud(tmp_path / "b.ply", points, like=cloud)
-    assert_refused(r"expected \.ply", write_cloud, tmp_path / "b.xyz", POINTS)
+    assert_refused(r"expected \.ply", write_cloud, tmp_path / "b.las", POINTS)
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from ..diagnosis.hypotheses import assumptions_of
 from ..errors import InputError
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
-from ..io.clouds import write_cloud
-from ..io.output import atomic_output
+from ..io.clouds import check_suffix, write_cloud
+from ..io.output import atomic_output, check_output
 from ..io.shipped import DEFAULT, named_checkpoint
 from ..refinement import RefineResult
 from ..scene.load import Placing, Scene, load_points_scene
@@ -180,13 +180,15 @@ class RefineOutputs:
     """What is written."""
 
     output: Path
+    own_suffix: str  # of the input, if it is written again with other points
     overlay: Path | None
     write_camera: Path | None
     overwrite: bool
 
     def check(self, inputs: list[Path]) -> None:
         """InputError for an output that cannot be written or would replace another file."""
-        require_output(self.output, ".ply", self.overwrite)
+        check_suffix(self.output, self.own_suffix)
+        check_output(self.output, self.overwrite)
         if self.overlay is not None:
             require_output(self.overlay, ".png", self.overwrite)
             if self.overlay.resolve() in [path.resolve() for path in inputs]:

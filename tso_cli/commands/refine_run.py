@@ -11,6 +11,7 @@ from typing import Any
 from ..diagnosis.examine import NoOverlapError
 from ..diagnosis.hypotheses import left_handed
 from ..errors import GateError, InputError
+from ..io.clouds import output_suffix
 from ..io.reading import require_memory
 from ..refinement import RefineConfig, RefineResult, refine
 from . import options
@@ -45,8 +46,11 @@ class RefineRun:
         self._warned, self._strict, self._as_json = warned, strict, as_json
         self._quiet, self._verbose = quiet, verbose
         self._inputs = options.pick(RefineInputs, chosen)
-        output = chosen["output"] or Path(f"{self._inputs.source.stem}.refined.ply")
-        self._outputs = options.pick(RefineOutputs, {**chosen, "output": output})
+        source = self._inputs.source
+        suffix = output_suffix(source) if self._inputs.mode == "points" else ".ply"
+        output = chosen["output"] or Path(f"{source.stem}.refined{suffix}")
+        named = {**chosen, "output": output, "own_suffix": suffix}
+        self._outputs = options.pick(RefineOutputs, named)
         self._refine_camera = chosen["refine_camera"]
         self._require_points_mode()
         if not check:

@@ -1,41 +1,83 @@
-"""Point clouds: reads PLY (text and binary), .npy and tables of numbers; writes PLY."""
+"""Point clouds, and meshes whose vertices move: reads many formats; writes the file again."""
 
 from __future__ import annotations
 
+import io
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Indices
 from ..geometry.points import longest_side
 from .output import check_output, write_file
 from .ply import PlyFile, new_ply
-from .reading import TextTable, read_array, read_bytes, require_memory
+from .reading import read_array, read_bytes, require_memory, shown
 
-SUFFIXES = (".ply", ".npy", ".xyz", ".txt")
+# Files that are written again with other vertices, byte for byte the same otherwise.
+MOVABLE = (".ply", ".glb", ".gltf", ".obj")
+MESHES = (".off", ".stl")
+ARRAYS = (".npy", ".npz", ".pt")
+TABLES = (".xyz", ".txt", ".csv", ".pts", ".pcd")
+SUFFIXES = (*MOVABLE, *MESHES, *ARRAYS, *TABLES)
+# Written without a file to move: points alone, or with faces where there are some.
+NEW = (".ply", ".npy", ".xyz")
+MOST_COLUMNS = 100  # of a table of points; more are an image
 # Squares of larger coordinates overflow.
 _LARGEST = 1e100
 # The most memory that a point takes in a refinement, if it only follows the control points.
 BYTES_PER_POINT = 250
 
 
+class MovableFile(Protocol):
+    """A file of points that can be written again with other coordinates (`PlyFile`, ...)."""
+
+    data: bytes
+    suffix: str
+
+    @property
+    def kinds(self) -> Sequence[str]:
+        """The types of the three coordinates: "f4", "f8" or an integer's."""
+
+    @property
+    def stale_after_moving(self) -> str:
+        """What is wrong once the points have moved, such as "normals"; "" if nothing is."""
+
+    def read(self) -> Array:
+        """The points [N, 3]."""
+
+    def read_colours(self) -> Array | None:
+        """Red, green and blue [N, 3] in [0, 1], or None."""
+
+    def read_faces(self) -> Indices | None:
+        """Triangles [F, 3], or None."""
+
+    def require_movable(self) -> None:
+        """Raise InputError if the file cannot be written with other points."""
+
+    def with_points(self, points: Array) -> bytes:
+        """The file with its points at ``points`` [N, 3]."""
+
+
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """A cloud as read from a file."""
+    """A cloud, or the vertices of a mesh, as read from a file."""
 
     points: Array  # [N, 3], in the file's order and units
     path: Path
     precision: str = "float64"  # or "float32", the type to write coordinates with
-    # Set if the cloud was read from PLY, to write the file again with other coordinates.
-    ply: PlyFile | None = field(default=None, repr=False)
+    # Set if the file can be written again with other coordinates.
+    source: MovableFile | None = field(default=None, repr=False)
+    triangles: Indices | None = field(default=None, repr=False)  # of a mesh without ``source``
 
     def colours(self) -> Array:
         """Red, green and blue [N, 3] of the points, in [0, 1]; InputError if there are none."""
-        colours = self.ply.read_colours() if self.ply else None
+        colours = self.source.read_colours() if self.source else None
         if colours is None:
             raise InputError(
                 f"{self.path}: its points have no colours, "
@@ -48,18 +90,18 @@ class PointCloud:
 
         Raises InputError if a face names a point that does not exist.
         """
-        return self.ply.read_faces() if self.ply else None
+        return self.source.read_faces() if self.source else self.triangles
 
 
 def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
-    """Read a point cloud, or a mesh in PLY as its vertices; ``faces()`` of the result joins them.
+    """Read a point cloud, or a mesh as its vertices; ``faces()`` of the result joins them.
 
     The suffix of the file decides how it is read:
 
-    - .ply : text or binary;
-    - .npy : an array [N, 3];
-    - .xyz, .txt : at least three numbers per line, x y z first; lines that start with # are
-      comments.
+    - .ply : text or binary; .glb, .gltf and .obj : all meshes of the scene, at their places;
+    - .off, .stl : a mesh;
+    - .npy, .npz, .pt : an array [N, 3] or [1, N, 3]; further columns are left out;
+    - .xyz, .txt, .csv, .pts, .pcd : a table with x, y and z.
 
     Raises InputError if the file cannot be read, holds no point, or holds a coordinate that is not
     finite. With ``extended`` it also raises InputError if all points are equal.
@@ -68,23 +110,46 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
         raise InputError(
-            f"{path}: the suffix {suffix!a} is not that of a point cloud, or of a mesh in PLY, "
+            f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, "
             f"expected {', '.join(SUFFIXES)}"
         )
     data = read_bytes(path, "a point cloud")
     try:
-        if suffix == ".ply":
-            ply = PlyFile(data, path, BYTES_PER_POINT)
-            precision = "float32" if set(ply.kinds) == {"f4"} else "float64"
-            cloud = PointCloud(ply.read(), path, precision, ply)
+        if suffix in MOVABLE:
+            source = _movable(suffix, data, path)
+            precision = "float32" if set(source.kinds) == {"f4"} else "float64"
+            cloud = PointCloud(source.read(), path, precision, source)
+        elif suffix in MESHES:
+            from .meshes import read_mesh
+
+            mesh = read_mesh(path, textures=False)
+            cloud = PointCloud(mesh.vertices, path, triangles=mesh.faces)
         elif suffix == ".npy":
-            cloud = _from_array(data, path)
+            cloud = PointCloud(*point_array(read_array(data, path), path), triangles=None)
+        elif suffix in ARRAYS:
+            from .archives import arrays_of
+
+            cloud = _of_arrays(arrays_of(data, path), path)
         else:
-            cloud = _from_text(data, path)
+            from .point_tables import read_points
+
+            cloud = PointCloud(read_points(data, path, BYTES_PER_POINT), path)
     except MemoryError:
         raise InputError(f"{path}: does not fit into memory") from None
     _check(cloud.points, path, extended)
     return cloud
+
+
+def _movable(suffix: str, data: bytes, path: Path) -> MovableFile:
+    if suffix == ".ply":
+        return PlyFile(data, path, BYTES_PER_POINT)
+    if suffix == ".obj":
+        from .obj import ObjFile
+
+        return ObjFile(data, path)
+    from .gltf import GltfFile
+
+    return GltfFile(data, path)
 
 
 def write_cloud(
@@ -94,26 +159,24 @@ def write_cloud(
     overwrite: bool = False,
     dtype: Literal["float32", "float64"] | None = None,
 ) -> None:
-    """Write ``points`` [N, 3] as a .ply file.
+    """Write ``points`` [N, 3] as a .ply, .npy or .xyz file, or as the file they were read from.
 
-    If ``like`` was read from a PLY file, the new file is that file with other coordinates; every
-    other byte stays. A warning names what is wrong after the move: normals, and the rotations and
-    scales of Gaussian splats. Another warning says by how much the
-    file's float rounds the result, if that is over 1e-4 of the cloud's longest side.
+    If ``like`` was read from a .ply, .glb, .gltf or .obj file and ``path`` has the same suffix, the
+    new file is that file with other coordinates; every other byte stays. A warning names what is
+    wrong after the move: normals of a PLY file, and the rotations and scales of Gaussian splats.
+    Another warning says by how much the file's float rounds the result, if that is over 1e-4 of the
+    cloud's longest side.
 
     Otherwise the type of the coordinates is ``dtype``, or the precision of ``like``. If neither is
     given, it is float32 as long as rounding moves no point by over a millionth of the cloud's
-    longest side.
+    longest side. A .ply file gets the faces of ``like``.
 
-    Raises InputError if ``path`` is not a .ply or cannot be written, or if ``points`` and ``like``
-    differ in number; TsoError if a coordinate is not finite or too large for its type. After an
-    error nothing is written.
+    Raises InputError if ``path`` has another suffix or cannot be written, or if ``points`` and
+    ``like`` differ in number; TsoError if a coordinate is not finite or too large for its type.
+    After an error nothing is written.
     """
     path = Path(path)
-    if path.suffix.lower() != ".ply":
-        raise InputError(
-            f"{path}: the suffix is {path.suffix!a}, expected .ply for a point cloud to write"
-        )
+    check_suffix(path, like.source.suffix if like is not None and like.source else "")
     check_output(path, overwrite)
     points = np.asarray(points, dtype=np.float64)
     finite = np.isfinite(points).all(axis=1)
@@ -126,8 +189,9 @@ def write_cloud(
     with np.errstate(over="ignore", invalid="ignore"):
         rounding = np.abs(points.astype(np.float32) - points).max(initial=0.0)
     extent = longest_side(points) if len(points) else 0.0
-    if like is not None and like.ply is not None:
-        if "f4" in like.ply.kinds:
+    suffix = path.suffix.lower()
+    if like is not None and like.source is not None and like.source.suffix == suffix:
+        if "f4" in like.source.kinds:
             if np.isinf(rounding):
                 raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path}")
             if rounding > 1e-4 * extent:
@@ -137,48 +201,102 @@ def write_cloud(
                     f"{extent:.3g}; store the input as double to keep the result",
                     stacklevel=2,
                 )
-        data = like.ply.with_points(points)
-        if (stale := like.ply.stale_after_moving) and data is not like.ply.data:
+        data = like.source.with_points(points)
+        if (stale := like.source.stale_after_moving) and data is not like.source.data:
             warnings.warn(
                 f"{path}: the {stale} are those of {like.path}, before the points moved",
                 stacklevel=2,
             )
     else:
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
-        data = new_ply(points, dtype or (like.precision if like is not None else precise))
+        chosen = dtype or (like.precision if like is not None else precise)
+        data = _new_file(suffix, points, chosen, like)
     write_file(path, data, overwrite)
 
 
-def _from_array(data: bytes, path: Path) -> PointCloud:
-    array = read_array(data, path)
-    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+def output_suffix(source: Path) -> str:
+    """The suffix of the result of a file: formats with textures keep theirs, others get .ply."""
+    suffix = source.suffix.lower()
+    return suffix if suffix in MOVABLE else ".ply"
+
+
+def check_suffix(path: Path, own: str = "") -> None:
+    """Raise InputError unless a cloud can be written as ``path`` (`write_cloud`).
+
+    ``own`` is the suffix of the file that it was read from, if that can be written again.
+    """
+    allowed = list(dict.fromkeys([*([own] if own else []), *NEW]))
+    if path.suffix.lower() not in allowed:
+        raise InputError(
+            f"{path}: the suffix is {path.suffix!a}, expected {' or '.join(allowed)} for a point "
+            "cloud to write"
+        )
+
+
+def _new_file(suffix: str, points: Array, dtype: str, like: PointCloud | None) -> bytes:
+    if suffix == ".ply":
+        faces = like.faces() if like is not None and like.source is None else None
+        if like is not None and like.source is not None:
+            faces = like.faces()
+            warnings.warn(
+                f"{like.path}: its textures, materials and normals do not go into a .ply; write "
+                f"{like.source.suffix} to keep them",
+                stacklevel=3,
+            )
+        return new_ply(points, dtype, faces)
+    values = points.astype(np.float32 if dtype == "float32" else np.float64)
+    if suffix == ".npy":
+        stream = io.BytesIO()
+        np.save(stream, values)
+        return stream.getvalue()
+    return "".join(f"{x} {y} {z}\n" for x, y, z in values.astype("S32").astype(str)).encode()
+
+
+# Names of the array of points in .npz and .pt files, and of the faces.
+_POINTS = ("points", "xyz", "pos", "positions", "vertices", "verts", "pc", "pcd", "coords", "")
+_FACES = ("faces", "triangles", "tris")
+
+
+def _of_arrays(arrays: dict[str, Any], path: Path) -> PointCloud:
+    """The cloud of a .npz or .pt file: the array with a usual name, or the only one that fits."""
+    named = [name for name in _POINTS if name in arrays]
+    fitting = [name for name, array in arrays.items() if np.shape(array)[-1:] == (3,)]
+    chosen = named[:1] or (fitting if len(fitting) == 1 else [])
+    if not chosen:
+        shapes = ", ".join(f"{shown(name)} {list(np.shape(a))}" for name, a in arrays.items())
+        raise InputError(
+            f"{path}: holds {shapes or 'no array'}, expected an array called points [N, 3]"
+        )
+    points, _, precision = point_array(np.asarray(arrays[chosen[0]]), path)
+    faces = next((arrays[name] for name in _FACES if name in arrays), None)
+    return PointCloud(points, path, precision, triangles=faces)
+
+
+def point_array(array: NDArray[Any], path: Path) -> tuple[Array, Path, str]:
+    """Points [N, 3] of an array [N, 3 or more] or [1, N, 3 or more], the path, and the precision.
+
+    Raises InputError for another shape; several clouds [B, N, 3] are named as what they are.
+    """
+    if array.ndim == 3 and array.shape[2] == 3 and len(array) > 1:
+        raise InputError(
+            f"{path}: holds {len(array)} clouds of {array.shape[1]} points, expected one [N, 3]; "
+            "store one of them: numpy.save(FILE, array[0])"
+        )
+    one = array[0] if array.ndim == 3 and len(array) == 1 else array
+    fits = one.ndim == 2 and 3 <= one.shape[1] <= MOST_COLUMNS and one.dtype.kind in "fiu"
+    if not fits:
         raise InputError(
             f"{path}: holds {array.dtype} {list(array.shape)}, expected numbers [N, 3]"
         )
-    require_memory(path, BYTES_PER_POINT * len(array))
-    precision = "float32" if array.dtype.kind == "f" and array.dtype.itemsize <= 4 else "float64"
-    with np.errstate(all="ignore"):
-        return PointCloud(np.ascontiguousarray(array, dtype=np.float64), path, precision)
-
-
-def _from_text(data: bytes, path: Path) -> PointCloud:
-    # A line of numbers takes at most 800 bytes while it is read.
-    require_memory(path, 800 * data.count(b"\n"))
-    table = TextTable(data, path)
-    table.drop_comments()
-    short = table.counts < 3
-    if short.any():
-        row = int(short.argmax())
-        raise InputError(
-            f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, "
-            "expected at least 3, separated by blanks"
-        )
-    points = table.values(table.first[:, None] + np.arange(3))
-    if table.counts.max(initial=3) > 3:
+    if one.shape[1] > 3:
         warnings.warn(
             f"{path}: only the first three of its columns are used, as x y z", stacklevel=3
         )
-    return PointCloud(points, path)
+        one = one[:, :3]
+    require_memory(path, BYTES_PER_POINT * len(one))
+    precision = "float32" if one.dtype.kind == "f" and one.dtype.itemsize <= 4 else "float64"
+    with np.errstate(all="ignore"):
+        return np.ascontiguousarray(one, dtype=np.float64), path, precision
 
 
 def _check(points: Array, path: Path, extended: bool) -> None:

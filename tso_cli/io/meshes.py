@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
+from .obj import simplified
 from .output import reason, write_file
 from .ply import new_ply
 from .reading import read_bytes
@@ -151,6 +152,8 @@ def _load_parts(
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             kind = path.suffix.lower()[1:]
+            if kind == "obj":
+                content = simplified(content)
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )

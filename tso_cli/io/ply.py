@@ -51,6 +51,11 @@ class PlyFile:
         self._body.check_end()
         self._places = self._places_of(self.vertex, AXES)
 
+    suffix = ".ply"
+
+    def require_movable(self) -> None:
+        """Every PLY file can be written with other vertices."""
+
     def _vertex(self) -> Element:
         vertex = self.header.elements.get("vertex")
         if vertex is None:

@@ -134,7 +134,7 @@ class BinaryBody:
         starts = places[:, integers]
         ends = starts + np.array([self.width(kinds[k]) for k in integers], dtype=np.int64)
         words: NDArray[Any] = points[:, integers].astype(self._order + "f8").view("V8")
-        return _spliced(out, self._start, starts.ravel(), ends.ravel(), words.ravel())
+        return spliced(out, self._start, starts.ravel(), ends.ravel(), words.ravel())
 
 
 class TextBody:
@@ -207,10 +207,10 @@ class TextBody:
             ends.append(self._table.ends[places[changed, k]])
             words.append(new[changed].astype("S32"))
         spans = np.concatenate(starts), np.concatenate(ends), np.concatenate(words)
-        return _spliced(self._table.data, self._start, *spans)
+        return spliced(self._table.data, self._start, *spans)
 
 
-def _spliced(
+def spliced(
     data: bytes | bytearray, at: int, starts: Indices, ends: Indices, words: NDArray[Any]
 ) -> bytes:
     """``data[at:]`` with the bytes from ``starts`` to ``ends`` [W] replaced by ``words`` [W]."""

@@ -31,13 +31,14 @@ from .meshes import read_mesh
 from .ply_header import HEADER_LIMIT
 from .reading import read_array, read_bytes, require_memory, shown
 
-MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb")
-SUFFIXES = (*CLOUD_SUFFIXES, *MESH_SUFFIXES, ".binvox")
+MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb", ".gltf")
+SUFFIXES = (*dict.fromkeys((*CLOUD_SUFFIXES, *MESH_SUFFIXES)), ".binvox")
 
+FEWEST_POINTS = 64  # of each cloud of a batch; shorter sides are those of a grid
 MAX_VOXELS = 512**3  # marching cubes of such a grid already takes gigabytes
 _FACES = re.compile(rb"[\r\n]element[ \t]+face[ \t]+0*[1-9]")
 _NPY_GRID = re.compile(
-    rb"\A\x93NUMPY[^\n]{0,200}'shape': *\([0-9]+, *[0-9]+, *[0-9]+,?\)", re.DOTALL
+    rb"\A\x93NUMPY[^\n]{0,200}'shape': *\(([0-9]{1,9}), *([0-9]{1,9}), *([0-9]{1,9}),?\)", re.DOTALL
 )
 
 
@@ -57,7 +58,15 @@ def shape_kind(path: Path) -> str:
         return "cloud"  # the reader of clouds says why the file cannot be read
     if suffix == ".ply" and _FACES.search(head.partition(b"end_header")[0]):
         return "mesh"
-    return "voxels" if suffix == ".binvox" or _NPY_GRID.search(head) else "cloud"
+    if suffix == ".binvox":
+        return "voxels"
+    grid = _NPY_GRID.search(head)
+    if grid is None:
+        return "cloud"
+    # A batch of clouds [B, N, 3] has a last side of 3, and many points.
+    first, points, last = (int(side) for side in grid.groups())
+    batch = last == 3 and (first == 1 or points >= FEWEST_POINTS)
+    return "cloud" if batch else "voxels"
 
 
 def read_shape(

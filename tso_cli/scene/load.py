@@ -73,6 +73,8 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
     assumptions = files.assumptions
     file = read_cloud(cloud_file)
+    if file.source is not None:
+        file.source.require_movable()
     colours = file.colours() if files.image else None
     cloud = Cloud(file.points, str(cloud_file), colours, file.faces())
     if fit:

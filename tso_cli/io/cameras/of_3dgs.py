@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..checked import kind
 from .own import named_file
 from .record import PartialCamera, from_camera_to_world, matrix_of, of_pixels
-from .source import CameraSource, kind
+from .source import CameraSource
 
 _KEYS = {"rotation", "position", "fx", "fy", "width", "height"}
 

@@ -11,9 +11,10 @@ from typing import Any
 
 from ...errors import InputError
 from ...geometry.arrays import Array
+from ..checked import kind
 from ..reading import plain
 from .record import PartialCamera, of_pixels
-from .source import CameraSource, kind
+from .source import CameraSource
 
 MOST_LISTED = 9  # objects that a message names
 CAMERAS, POSES = "scene_camera.json", "scene_gt.json"

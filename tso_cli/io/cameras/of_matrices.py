@@ -12,8 +12,8 @@ import numpy as np
 
 from ...errors import prefixed
 from ...geometry.arrays import Array
+from ..archives import arrays_of
 from ..reading import read_array
-from .archives import arrays_of
 from .matrices import decomposed
 from .own import NAMES, OTHER_NAMES, matrices_of
 from .record import PartialCamera, from_world_to_camera, of_pixels
@@ -27,7 +27,7 @@ def recognises(source: CameraSource) -> bool:
     if source.looks_like_json:
         return _unnamed_json(source)
     if source.data[:4] == b"PK\x03\x04":
-        keys = arrays_of(source).keys()
+        keys = arrays_of(source.data, source.path).keys()
         return any(_key(key) in NAMES for key in keys) and "T" not in keys
     if source.data[:6] == b"\x93NUMPY":
         return True
@@ -46,7 +46,7 @@ def _unnamed_json(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     if source.data[:4] == b"PK\x03\x04":
-        return _named(source, arrays_of(source))
+        return _named(source, arrays_of(source.data, source.path))
     if source.looks_like_json:
         values: Any = source.json
     elif source.data[:6] == b"\x93NUMPY":

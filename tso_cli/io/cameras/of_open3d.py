@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 from ...errors import InputError
+from ..checked import kind
 from .record import PartialCamera, from_camera_to_world, from_world_to_camera, of_pixels
-from .source import CameraSource, kind
+from .source import CameraSource
 
 _CLASSES = ("PinholeCameraParameters", "PinholeCameraTrajectory", "PinholeCameraIntrinsic")
 _ROWS = 5  # of the log: numbers of the frame, and a matrix

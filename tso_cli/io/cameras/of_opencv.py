@@ -14,10 +14,11 @@ from ...errors import InputError
 from ...geometry.arrays import Array
 from ...geometry.distortion import Distortion
 from ...geometry.rotations import from_vectors
+from ..checked import kind
 from ..output import reason
 from ..reading import shown
 from .record import PartialCamera, from_world_to_camera, matrix_of, of_pixels
-from .source import CameraSource, kind
+from .source import CameraSource
 
 LARGEST_TEXT = 1 << 20  # bytes; a parser of YAML is slow
 _K = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "intrinsic_matrix")

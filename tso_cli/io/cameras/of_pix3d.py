@@ -9,9 +9,10 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import InputError
+from ..checked import kind
 from .own import named_file
 from .record import PYTORCH3D, PartialCamera, from_world_to_camera, of_widths
-from .source import CameraSource, kind
+from .source import CameraSource
 
 SENSOR_WIDTH = 32.0  # mm
 _KEYS = {"rot_mat", "trans_mat", "focal_length", "img_size"}

@@ -10,6 +10,7 @@ from typing import Any
 
 from ...errors import InputError
 from ...geometry.distortion import Distortion
+from ..checked import kind
 from ..reading import shown
 from .own import named_file
 from .record import (
@@ -21,7 +22,7 @@ from .record import (
     of_horizontal_angle,
     of_pixels,
 )
-from .source import CameraSource, kind
+from .source import CameraSource
 
 FILE = "transforms.json"
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV_FISHEYE", "perspective")

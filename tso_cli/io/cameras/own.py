@@ -15,6 +15,7 @@ from typing import Any
 
 from ...errors import InputError, prefixed
 from ...geometry.arrays import Array
+from ..checked import kind
 from ..images import PIXEL_LIMIT
 from ..reading import shown
 from .matrices import decomposed
@@ -25,7 +26,7 @@ from .record import (
     matrix_of,
     of_pixels,
 )
-from .source import CameraSource, kind
+from .source import CameraSource
 
 # Key -> other names of the same thing in files of other programs. Each has one meaning.
 NAMES = {

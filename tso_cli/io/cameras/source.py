@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ...errors import InputError
-from ...geometry.arrays import Array
+from ..checked import Checked
 from ..output import reason
 from ..reading import read_bytes, shown
 
 LIMIT = 64 << 20  # bytes of a camera file
 # A scene with its cameras, as a GLB, may be larger than a list of cameras.
 LIMIT_OF_SCENE = 2 << 30
-LARGEST = 1e15  # products of larger entries have no correct digits left
 EXPECTED = "a camera file"
 
 
-class CameraSource:
+class CameraSource(Checked):
     """A camera file, read once.
 
     Raises InputError if the file cannot be read. ``path`` may be a folder, whose ``data`` is empty.
@@ -77,69 +73,3 @@ class CameraSource:
         """The words of each line that is neither empty nor a comment."""
         lines = (line.split() for line in self.text.splitlines())
         return [words for words in lines if words and not words[0].startswith("#")]
-
-    def error(self, where: str, found: object, expected: str) -> InputError:
-        """The error of a value: what was ``found`` at ``where``, and what was ``expected``."""
-        return InputError(f"{self.path}: {where} is {found}, expected {expected}")
-
-    def matrix(self, where: str, values: Any, *shapes: tuple[int, ...]) -> Array:
-        """``values`` as an array of one of the ``shapes``; -1 stands for any length.
-
-        Raises InputError if they are not finite numbers, or have none of the shapes.
-        """
-        try:
-            array = np.asarray(values)
-            if array.dtype == object and all(type(value) is int for value in array.flat):
-                array = array.astype(np.float64)  # whole numbers of over 64 bits
-            if array.dtype.kind not in "iuf":
-                raise ValueError("not numbers")
-            array = array.astype(np.float64)
-        except (ValueError, TypeError, OverflowError):
-            raise self.error(where, kind(values), _words(shapes)) from None
-        if not any(_fits(array.shape, shape) for shape in shapes):
-            size = list(array.shape)
-            raise self.error(where, f"an array {size}", _words(shapes))
-        wrong = ~(np.abs(array) <= LARGEST)
-        if wrong.any():
-            index = tuple(np.argwhere(wrong)[0].tolist())
-            place = where + "".join(f"[{i}]" for i in index)
-            raise self.error(place, f"{array[index]:g}", f"a finite number of at most {LARGEST:g}")
-        return array
-
-    def number(self, where: str, value: Any) -> float:
-        """``value`` as a number; InputError if it is none."""
-        return float(self.matrix(where, value, ()))
-
-    def pixels(self, where: str, width: Any, height: Any) -> tuple[int, int]:
-        """``width`` and ``height`` as whole numbers of pixels."""
-        size = self.number(f"{where}width", width), self.number(f"{where}height", height)
-        for name, value in zip(("width", "height"), size, strict=True):
-            if value < 1 or value % 1:
-                raise self.error(
-                    f"{where}{name}", f"{value:g}", "a whole number of pixels, 1 or more"
-                )
-        return int(size[0]), int(size[1])
-
-
-def kind(value: Any) -> str:
-    """``value`` as a message quotes it."""
-    if isinstance(value, (list, dict)):
-        return ("list" if isinstance(value, list) else "object") + f" of {len(value)}"
-    return shown(value)
-
-
-def _fits(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
-    return len(shape) == len(wanted) and all(
-        w in (-1, n) for n, w in zip(shape, wanted, strict=True)
-    )
-
-
-def _words(shapes: Sequence[tuple[int, ...]]) -> str:
-    """The shapes in words: "3x3 or [9] numbers"."""
-    if () in shapes:
-        return "a number"
-    texts = []
-    for shape in shapes:
-        sides = ["N" if side < 0 else str(side) for side in shape]
-        texts.append("x".join(sides) if len(sides) > 1 else f"[{sides[0]}]")
-    return f"{' or '.join(texts)} numbers"

@@ -1,0 +1,334 @@
+"""GLB, glTF and OBJ: read as they are placed, and written again with moved vertices."""
+
+import base64
+import json
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from tests.corruption import assert_reads_or_refuses, assert_refused
+from tests.readme import ROOT
+from tso_cli.io.clouds import read_cloud, write_cloud
+from tso_cli.io.gltf import GltfFile
+from tso_cli.io.meshes import read_mesh
+from tso_cli.io.obj import ObjFile
+
+CHAIR = next((ROOT / "examples/meshes/chair").glob("*.ply"))
+SCENE = Path(__file__).with_name("files") / "blender/scene.glb"
+
+
+def parts_of(data):
+    """The JSON and the binary part of a GLB."""
+    (length,) = struct.unpack_from("<I", data, 12)
+    return json.loads(data[20 : 20 + length]), data[28 + length :]
+
+
+def a_glb(tmp_path, matrix=None, twice=False, textured=False):
+    """A box in a scene that trimesh writes, with normals; the file and the mesh."""
+    mesh = trimesh.creation.icosphere(2, 0.5)
+    if textured:
+        from PIL import Image
+
+        uv = mesh.vertices[:, :2] + 0.5
+        picture = Image.fromarray(np.arange(192, dtype=np.uint8).reshape(8, 8, 3))
+        mesh = trimesh.Trimesh(
+            mesh.vertices, mesh.faces, process=False,
+            visual=trimesh.visual.TextureVisuals(uv, image=picture),
+        )  # fmt: skip
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, node_name="a", geom_name="g", transform=matrix)
+    if twice:
+        scene.graph.update(frame_to="b", matrix=np.diag([2.0, 2.0, 2.0, 1.0]), geometry="g")
+    path = tmp_path / "scene.glb"
+    path.write_bytes(scene.export(file_type="glb", include_normals=True))
+    return path, mesh
+
+
+def a_place():
+    matrix = trimesh.transformations.rotation_matrix(0.7, [1, 2, 3])
+    matrix[:3, :3] *= 2.0
+    matrix[:3, 3] = [1.0, 2.0, 3.0]
+    return matrix
+
+
+def test_the_vertices_of_a_glb_are_read_at_the_places_of_their_nodes(tmp_path):
+    path, mesh = a_glb(tmp_path, a_place())
+    cloud = read_cloud(path)
+    expected = trimesh.transform_points(mesh.vertices, a_place())
+    np.testing.assert_allclose(cloud.points, expected, atol=1e-6)
+    assert (cloud.faces() == mesh.faces).all()
+    assert np.abs(read_mesh(path).vertices - expected).max() < 1e-6
+
+
+def test_a_file_of_blender_has_its_mesh_where_blender_exports_it():
+    points = read_cloud(SCENE).points
+    exported = read_cloud(SCENE.with_name("scene_glb.ply")).points
+    # The same surface: every vertex of one is a vertex of the other.
+    gaps = np.abs(points[:, None] - exported[None]).max(2).min(1)
+    assert gaps.max() < 1e-6
+
+
+def test_a_moved_glb_differs_in_coordinates_normals_and_bounds_alone(tmp_path):
+    path, _ = a_glb(tmp_path, a_place(), textured=True)
+    cloud = read_cloud(path)
+    moved = cloud.points.copy()
+    moved[: len(moved) // 2] += [0.0, 0.3, 0.1]
+    write_cloud(tmp_path / "moved.glb", moved, like=cloud)
+    again = read_cloud(tmp_path / "moved.glb")
+    np.testing.assert_allclose(again.points, moved, atol=1e-6)
+    before, after = path.read_bytes(), (tmp_path / "moved.glb").read_bytes()
+    (old, old_binary), (new, new_binary) = parts_of(before), parts_of(after)
+    attributes = old["meshes"][0]["primitives"][0]["attributes"]
+    position = attributes["POSITION"]
+    for name in ("min", "max"):
+        old["accessors"][position].pop(name)
+        new["accessors"][position].pop(name)
+    assert old == new
+    changed = np.flatnonzero(
+        np.frombuffer(old_binary, np.uint8) != np.frombuffer(new_binary, np.uint8)
+    )
+    allowed = np.zeros(len(old_binary), bool)
+    for name in ("POSITION", "NORMAL"):
+        accessor = old["accessors"][attributes[name]]
+        view = old["bufferViews"][accessor["bufferView"]]
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        allowed[start : start + 12 * accessor["count"]] = True
+    assert allowed[changed].all()
+    assert len(changed) > 100
+
+
+def test_the_stated_bounds_are_those_of_the_moved_vertices(tmp_path):
+    path, _ = a_glb(tmp_path)
+    cloud = read_cloud(path)
+    write_cloud(tmp_path / "moved.glb", cloud.points * 3.0, like=cloud)
+    document, _ = parts_of((tmp_path / "moved.glb").read_bytes())
+    accessor = document["accessors"][
+        document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]
+    ]
+    np.testing.assert_allclose(accessor["max"], read_cloud(tmp_path / "moved.glb").points.max(0))
+
+
+def test_an_unmoved_glb_is_the_same_file(tmp_path):
+    path, _ = a_glb(tmp_path, a_place())
+    cloud = read_cloud(path)
+    write_cloud(tmp_path / "same.glb", cloud.points, like=cloud)
+    assert (tmp_path / "same.glb").read_bytes() == path.read_bytes()
+
+
+def test_normals_turn_with_the_surface(tmp_path):
+    path, mesh = a_glb(tmp_path)
+    cloud = read_cloud(path)
+    turn = trimesh.transformations.rotation_matrix(0.5, [0, 1, 1])[:3, :3]
+    write_cloud(tmp_path / "turned.glb", cloud.points @ turn.T, like=cloud)
+    again = trimesh.load(tmp_path / "turned.glb", process=False, force="mesh")
+    np.testing.assert_allclose(again.vertex_normals, mesh.vertex_normals @ turn.T, atol=1e-3)
+    document, binary = parts_of((tmp_path / "turned.glb").read_bytes())
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]]
+    offset = document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+    stored = np.frombuffer(binary, "<f4", 3 * accessor["count"], offset).reshape(-1, 3)
+    np.testing.assert_allclose(stored, mesh.vertex_normals @ turn.T, atol=2e-2)
+
+
+def test_two_nodes_that_share_a_mesh_are_read_and_not_moved(tmp_path):
+    path, mesh = a_glb(tmp_path, a_place(), twice=True)
+    cloud = read_cloud(path)
+    assert len(cloud.points) == 2 * len(mesh.vertices)
+    assert_refused(r"scene\.glb: the nodes a and b share one mesh", cloud.source.require_movable)
+
+
+def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
+    path, _ = a_glb(tmp_path)
+    document, binary = parts_of(path.read_bytes())
+    document["buffers"][0]["uri"] = "scene.bin"
+    (tmp_path / "scene.bin").write_bytes(binary)
+    (tmp_path / "scene.gltf").write_text(json.dumps(document, indent=2))
+    cloud = read_cloud(tmp_path / "scene.gltf")
+    write_cloud(tmp_path / "moved.gltf", cloud.points + 0.25, like=cloud)
+    assert np.abs(read_cloud(tmp_path / "moved.gltf").points - cloud.points - 0.25).max() < 1e-6
+    moved = json.loads((tmp_path / "moved.gltf").read_text())
+    assert moved["buffers"][0]["uri"].startswith("data:application/octet-stream;base64,")
+    for name in ("../scene.bin", "/etc/passwd", "http://a/b.bin"):
+        document["buffers"][0]["uri"] = name
+        (tmp_path / "bad.gltf").write_text(json.dumps(document))
+        assert_refused("expected a file in the same folder", read_cloud, tmp_path / "bad.gltf")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            {"extensionsUsed": ["KHR_draco_mesh_compression"]},
+            "compressed by Draco, which tso does not read; export it without",
+        ),
+        ({"meshes": []}, "expected the index of a mesh"),
+        ({"nodes": [{"children": [1]}, {"children": [0]}], "scenes": []}, "a circle"),
+        ({"bufferViews": []}, "expected the index of a view"),
+    ],
+)
+def test_a_glb_that_cannot_be_read_says_why(tmp_path, change, says):
+    path, _ = a_glb(tmp_path)
+    document, binary = parts_of(path.read_bytes())
+    inline = base64.b64encode(binary).decode()
+    document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{inline}"
+    (tmp_path / "a.gltf").write_text(json.dumps(document | change))
+    assert_refused(says, read_cloud, tmp_path / "a.gltf")
+
+
+OBJ = b"""mtllib C:\\work\\my model.mtl\r
+o first\r
+v 0 0 0\r
+v 1.50000 0 0\r
+v 1 1 0 # a corner\r
+v 0 1 0\r
+vt 0 0\r
+vn 0 0 1\r
+usemtl a\r
+f -4/1/1 -3/1/1 -2/1/1 -1/1/1\r
+o second\r
+v 0 0 1\r
+v 1 0 1\r
+v 1 1 \\\r
+1\r
+f -3//-1 -2//-1 -1//-1"""
+
+
+def test_relative_indices_quads_and_several_objects_of_an_obj(tmp_path):
+    (tmp_path / "two.obj").write_bytes(OBJ)
+    cloud = read_cloud(tmp_path / "two.obj")
+    assert len(cloud.points) == 7
+    assert cloud.faces().tolist() == [[0, 1, 2], [0, 2, 3], [4, 5, 6]]
+    mesh = read_mesh(tmp_path / "two.obj", textures=False)
+    area = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).area
+    assert area == pytest.approx(1.25 + 0.5)
+
+
+def test_a_moved_obj_differs_in_the_numbers_that_change_alone(tmp_path):
+    (tmp_path / "two.obj").write_bytes(OBJ)
+    cloud = read_cloud(tmp_path / "two.obj")
+    moved = cloud.points.copy()
+    moved[1, 0], moved[6, 2] = 1.75, 1.5
+    write_cloud(tmp_path / "moved.obj", moved, like=cloud)
+    text = (tmp_path / "moved.obj").read_bytes()
+    expected = OBJ.replace(b"v 1.50000 0 0", b"v 1.75 0 0").replace(
+        b"1 1 \\\r\n1\r", b"1 1 \\\r\n1.5\r"
+    )
+    lines, wanted = text.split(b"\r\n"), expected.split(b"\r\n")
+    assert [
+        a for a, b in zip(lines, wanted, strict=True) if a != b and not a.startswith(b"vn")
+    ] == []
+    assert np.abs(read_cloud(tmp_path / "moved.obj").points - moved).max() < 1e-6
+
+
+def test_the_colours_of_an_obj_stand_after_its_coordinates(tmp_path):
+    (tmp_path / "c.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 0.5\nf 1 2 3\n")
+    assert read_cloud(tmp_path / "c.obj").colours()[2].tolist() == [0.0, 0.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("v 0 0\n", "line 1 has 2 numbers, expected x, y and z"),
+        ("v 0 0 x\n", "line 1 has x, expected a number"),
+        ("v 0 0 0\nv 1 0 0\nf 1 2 4\n", "a face names 4, expected vertices 1 to 2"),
+        ("v 0 0 0\nv 1 0 0\nf 1 2 -3\n", "a face names -3, expected vertices 1 to 2"),
+        ("# empty\n", "holds no vertex"),
+    ],
+)
+def test_a_wrong_obj_is_refused_with_its_line(tmp_path, text, says):
+    (tmp_path / "a.obj").write_text(text)
+    assert_refused(rf"a\.obj: .*{says}", read_cloud, tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize("kind", ["glb", "gltf", "obj"])
+def test_damaged_files_are_read_and_moved_or_refused(tmp_path, kind):
+    path, _ = a_glb(tmp_path, textured=True)
+    if kind == "gltf":
+        document, binary = parts_of(path.read_bytes())
+        inline = base64.b64encode(binary).decode()
+        document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{inline}"
+        path = tmp_path / "scene.gltf"
+        path.write_text(json.dumps(document))
+    elif kind == "obj":
+        path = tmp_path / "scene.obj"
+        path.write_bytes(OBJ)
+    form = ObjFile if kind == "obj" else GltfFile
+
+    def read(file):
+        found = form(file.read_bytes(), file)
+        points = found.read()
+        found.read_faces()
+        found.require_movable()
+        if np.isfinite(points).all() and np.abs(points).max() < 1e6:
+            form(found.with_points(points + 0.5), file)
+
+    _, refused = assert_reads_or_refuses(read, path, 120)
+    assert refused > 10
+
+
+def tables():
+    points = np.array([[0.5, 1.0, 2.0], [1.5, 1.0, 0.25], [0.0, 3.0, 1.0]])
+    rows = points.tolist()
+    pcd = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\n"
+    pcd += "WIDTH 3\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA "
+    binary = np.array(
+        [(*row, 7) for row in rows],
+        [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("c", "<u4")],
+    )
+    return points, {
+        "a.csv": "id,x,y,z\n" + "".join(f"{i},{x},{y},{z}\n" for i, (x, y, z) in enumerate(rows)),
+        "b.csv": "".join(f"{x};{y};{z}\n" for x, y, z in rows),
+        "c.pts": "3\n" + "".join(f"{x} {y} {z} 12 255 0 0\n" for x, y, z in rows),
+        "d.pcd": pcd + "ascii\n" + "".join(f"{x} {y} {z} 7\n" for x, y, z in rows),
+        "e.pcd": (pcd + "binary\n").encode() + binary.tobytes(),
+        "f.off": "OFF\n3 1 0\n" + "".join(f"{x} {y} {z}\n" for x, y, z in rows) + "3 0 1 2\n",
+    }
+
+
+@pytest.mark.parametrize("name", tables()[1])
+def test_tables_of_other_programs_are_read(save, name):
+    points, files = tables()
+    found = read_cloud(save(name, files[name])).points
+    np.testing.assert_allclose(found, points)
+
+
+@pytest.mark.parametrize("name", tables()[1])
+def test_damaged_tables_are_read_or_refused(save, tmp_path, name):
+    assert_reads_or_refuses(read_cloud, save(name, tables()[1][name]), 60)
+
+
+def test_arrays_of_networks_are_read(tmp_path):
+    import torch
+
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    np.save(tmp_path / "one.npy", points[None].astype("f4"))
+    np.savez(tmp_path / "named.npz", points=points.astype(np.float16), loc=np.zeros(3), scale=1.0)
+    torch.save(torch.from_numpy(points[None]), tmp_path / "tensor.pt")
+    torch.save({"verts": torch.from_numpy(points), "faces": torch.tensor([[0, 1, 2]])},
+               tmp_path / "mesh.pt")  # fmt: skip
+    for name in ("one.npy", "named.npz", "tensor.pt", "mesh.pt"):
+        np.testing.assert_allclose(read_cloud(tmp_path / name).points, points, atol=1e-2)
+    np.save(tmp_path / "six.npy", np.c_[points, points])
+    with pytest.warns(UserWarning, match="only the first three of its columns are used"):
+        assert read_cloud(tmp_path / "six.npy").points.shape == (20, 3)
+    np.save(tmp_path / "batch.npy", np.repeat(points[None], 8, 0))
+    assert_refused("holds 8 clouds of 20 points, expected one", read_cloud, tmp_path / "batch.npy")
+    np.savez(tmp_path / "two.npz", a=points, b=points)
+    assert_refused("expected an array called points", read_cloud, tmp_path / "two.npz")
+
+
+def test_a_result_is_written_as_what_its_suffix_says(tmp_path):
+    cloud = read_cloud(CHAIR)
+    moved = cloud.points + 0.125
+    for name in ("a.npy", "a.xyz"):
+        write_cloud(tmp_path / name, moved, like=cloud)
+        np.testing.assert_allclose(read_cloud(tmp_path / name).points, moved, atol=1e-6)
+    path, mesh = a_glb(tmp_path, textured=True)
+    with pytest.warns(UserWarning, match="do not go into a .ply; write .glb to keep them"):
+        write_cloud(tmp_path / "a.ply", read_cloud(path).points, like=read_cloud(path))
+    assert (read_cloud(tmp_path / "a.ply").faces() == mesh.faces).all()
+    assert_refused(
+        "expected .ply or .npy or .xyz", write_cloud, tmp_path / "a.glb", moved, like=cloud
+    )

@@ -1,0 +1,73 @@
+"""The arrays in a .npz file, and in a .pt file that holds nothing but tensors."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from .output import reason
+from .reading import array_header, read_array, require_memory
+
+_PICKLE = "data.pkl"  # in a .pt file
+
+
+def is_torch(data: bytes, path: Path) -> bool:
+    return any(name.endswith(_PICKLE) for name in _names(data, path))
+
+
+def _names(data: bytes, path: Path) -> list[str]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError) as error:
+        raise InputError(f"{path}: is a damaged archive ({reason(error)})") from None
+
+
+def arrays_of(data: bytes, path: Path) -> dict[str, Any]:
+    """Name -> numbers. Nothing is unpickled but tensors. Arrays of other types are left out."""
+    return _tensors(data, path) if is_torch(data, path) else _arrays(data, path)
+
+
+def _arrays(data: bytes, path: Path) -> dict[str, Any]:
+    arrays = {}
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for entry in archive.infolist():
+                if not entry.filename.endswith(".npy"):
+                    continue
+                require_memory(path, 3 * entry.file_size)
+                with archive.open(entry) as member:
+                    values = member.read(entry.file_size + 1)
+                if array_header(values, path)[0].kind in "biuf":
+                    arrays[entry.filename[: -len(".npy")]] = read_array(values, path)
+    except InputError:
+        raise
+    except Exception as error:  # zipfile and zlib fail in many ways on damaged archives
+        raise InputError(f"{path}: is a damaged archive ({reason(error)})") from None
+    return arrays
+
+
+def _tensors(data: bytes, path: Path) -> dict[str, Any]:
+    import torch
+
+    try:
+        loaded = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except Exception as error:  # torch fails in many ways on damaged files
+        raise InputError(
+            f"{path}: holds more than tensors, or is damaged ({reason(error)}); expected a "
+            "dictionary of tensors"
+        ) from None
+    if not isinstance(loaded, dict):
+        loaded = {"": loaded}
+    return {
+        str(key): value.detach().to(torch.float64).numpy()
+        if isinstance(value, torch.Tensor)
+        else np.asarray(value)
+        for key, value in loaded.items()
+        if isinstance(value, (torch.Tensor, int, float, bool, list, tuple))
+    }

@@ -1,0 +1,373 @@
+"""glTF and GLB: the vertices of a scene, and the file again with these vertices moved.
+
+POSITION is replaced in place, and NORMAL and TANGENT are turned with the surface. Every other byte
+of the file stays, except the bounds that glTF states of POSITION.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry.arrays import Array, Indices
+from ..geometry.normals import same_places, turned_normals
+from .checked import Checked, kind
+from .gltf_scene import (
+    BINARY_CHUNK,
+    JSON_CHUNK,
+    MAGIC,
+    document_of,
+    objects_of,
+    places_of,
+    scene_text,
+    with_bounds,
+    with_uri,
+)
+from .reading import plain, read_bytes
+
+_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_FLOAT = 5126
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_COMPRESSED = {
+    "KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt",
+    "KHR_meshopt_compression": "meshopt",
+}  # fmt: skip
+_DATA = "data:"
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The vertices of one node that are in one accessor."""
+
+    node: int
+    accessor: int
+    matrix: Array  # to the world
+    first: int  # its first vertex among all
+    count: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Primitive:
+    """A primitive of a part: its triangles as vertices of the part, and accessors of directions."""
+
+    part: _Part
+    triangles: Indices
+    normal: int | None
+    tangent: int | None
+
+
+class GltfFile(Checked):
+    """The meshes of a scene. Raises InputError if the file is damaged or holds no vertex.
+
+    Attributes
+    ----------
+    kinds : types of the coordinates, as in a PLY file.
+    """
+
+    kinds = ("f4", "f4", "f4")
+
+    def __init__(self, data: bytes, path: Path) -> None:
+        self.data, self.path = data, path
+        self.suffix = ".glb" if data[:4] == MAGIC else ".gltf"
+        self._text, binary = scene_text(data, path)
+        self._document = document_of(self._text, path)
+        self._refuse_compression()
+        self._buffers = [
+            self._buffer(number, buffer, binary)
+            for number, buffer in enumerate(objects_of(self, self._document, "buffers"))
+        ]
+        self._accessors = objects_of(self, self._document, "accessors")
+        self._views = objects_of(self, self._document, "bufferViews")
+        self._parts: list[_Part] = []
+        self._primitives: list[_Primitive] = []
+        self._collect()
+        if not self._parts:
+            raise InputError(f"{path}: holds no mesh, expected a scene with one")
+
+    def _refuse_compression(self) -> None:
+        for extension in self._document.get("extensionsUsed") or []:
+            if name := _COMPRESSED.get(str(extension)):
+                raise InputError(
+                    f"{self.path}: its meshes are compressed by {name}, which tso does not read; "
+                    "export it without compression (gltf-transform copy, or Blender)"
+                )
+
+    def _buffer(self, number: int, buffer: dict[str, Any], binary: bytes) -> bytes:
+        uri = buffer.get("uri")
+        if uri is None:
+            return binary
+        if not isinstance(uri, str):
+            raise self.error(f"buffers[{number}].uri", kind(uri), "text")
+        if uri.startswith(_DATA):
+            try:
+                return base64.b64decode(uri.partition(",")[2], validate=True)
+            except (binascii.Error, ValueError):
+                raise self.error(f"buffers[{number}].uri", "not base64", "base64") from None
+        name = unquote(uri)
+        parts = Path(name.replace("\\", "/")).parts
+        if "://" in name or ".." in parts or not parts or Path(name).is_absolute():
+            raise self.error(f"buffers[{number}].uri", plain(name), "a file in the same folder")
+        return read_bytes(self.path.parent / Path(*parts), "the buffer of a glTF scene")
+
+    def _collect(self) -> None:
+        nodes = objects_of(self, self._document, "nodes")
+        meshes = objects_of(self, self._document, "meshes")
+        places = places_of(self, nodes)
+        found: dict[tuple[int, int], _Part] = {}
+        total = 0
+        for number in self._shown(nodes):
+            index = nodes[number].get("mesh")
+            if index is None:
+                continue
+            if not isinstance(index, int) or not 0 <= index < len(meshes):
+                raise self.error(f"nodes[{number}].mesh", kind(index), "the index of a mesh")
+            if "skin" in nodes[number]:
+                raise InputError(
+                    f"{self.path}: a mesh is moved by a skeleton (skin), expected a static mesh; "
+                    "apply the pose before you export it"
+                )
+            for primitive in objects_of(self, meshes[index], "primitives"):
+                attributes = primitive.get("attributes")
+                if not isinstance(attributes, dict) or "POSITION" not in attributes:
+                    raise self.error(f"meshes[{index}]", kind(attributes), "POSITION")
+                key = number, attributes["POSITION"]
+                if key not in found:
+                    count = len(self._positions(key[1]))
+                    found[key] = _Part(number, key[1], places[number], total, count)
+                    total += count
+                self._primitives.append(self._primitive(found[key], primitive, attributes))
+        self._parts = list(found.values())
+
+    def _shown(self, nodes: list[dict[str, Any]]) -> list[int]:
+        """The nodes of the default scene, in the order of the file."""
+        scenes = objects_of(self, self._document, "scenes")
+        index = self._document.get("scene", 0)
+        if not scenes or not isinstance(index, int) or not 0 <= index < len(scenes):
+            return list(range(len(nodes)))
+        open_, reached = list(scenes[index].get("nodes", [])), set()
+        while open_:
+            node = open_.pop()
+            if not isinstance(node, int) or not 0 <= node < len(nodes):
+                raise self.error(f"scenes[{index}].nodes", kind(node), "the index of a node")
+            if node not in reached:
+                reached.add(node)
+                open_ += nodes[node].get("children", [])
+        return sorted(reached)
+
+    def _primitive(
+        self, part: _Part, primitive: dict[str, Any], attributes: dict[str, Any]
+    ) -> _Primitive:
+        if "indices" in primitive:
+            indices = self._values(primitive["indices"], ("SCALAR",)).ravel().astype(np.int64)
+        else:
+            indices = np.arange(part.count)
+        if len(indices) and not 0 <= indices.min() <= indices.max() < part.count:
+            raise InputError(
+                f"{self.path}: a face names vertex {indices.max()}, expected 0 to {part.count - 1}"
+            )
+        mode = primitive.get("mode", _TRIANGLES)
+        if mode == _TRIANGLES:
+            triangles = indices[: len(indices) // 3 * 3].reshape(-1, 3)
+        elif mode == _STRIP and len(indices) > 2:
+            triangles = np.stack([indices[:-2], indices[1:-1], indices[2:]], 1)
+            triangles[1::2, :2] = triangles[1::2, 1::-1]
+        elif mode == _FAN and len(indices) > 2:
+            first = np.full(len(indices) - 2, indices[0])
+            triangles = np.stack([first, indices[1:-1], indices[2:]], 1)
+        else:
+            triangles = np.empty((0, 3), np.int64)  # points and lines
+        return _Primitive(part, triangles, attributes.get("NORMAL"), attributes.get("TANGENT"))
+
+    def _positions(self, accessor: Any) -> Array:
+        values = self._values(accessor, ("VEC3",))
+        if values.dtype != np.dtype("<f4"):
+            raise InputError(
+                f"{self.path}: its vertices are quantised (KHR_mesh_quantization), which tso does "
+                "not read; export them as float (gltf-transform dequantize, or Blender)"
+            )
+        return _as_double(values)
+
+    def _values(self, accessor: Any, types: tuple[str, ...]) -> NDArray[Any]:
+        """The values [N, C] of an accessor, a view into its buffer."""
+        buffer, offset, dtype, count, width, stride = self._layout(accessor, types)
+        data = self._buffers[buffer]
+        return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
+
+    def _layout(
+        self, number: Any, types: tuple[str, ...]
+    ) -> tuple[int, int, np.dtype[Any], int, int, int]:
+        """Buffer, offset, type, count, width and stride of an accessor."""
+        if not isinstance(number, int) or not 0 <= number < len(self._accessors):
+            raise self.error("an accessor", kind(number), "the index of an accessor")
+        accessor, where = self._accessors[number], f"accessors[{number}]"
+        if "sparse" in accessor:
+            raise self.error(where, "sparse", "values without sparse storage; export it again")
+        form, component = accessor.get("type"), accessor.get("componentType")
+        if form not in types or component not in _COMPONENTS:
+            raise self.error(where, f"{kind(form)} of {kind(component)}", " or ".join(types))
+        view_number = accessor.get("bufferView")
+        if not isinstance(view_number, int) or not 0 <= view_number < len(self._views):
+            raise self.error(f"{where}.bufferView", kind(view_number), "the index of a view")
+        view = self._views[view_number]
+        dtype, width = np.dtype(_COMPONENTS[component]), _WIDTHS[form]
+        numbers = [
+            (view.get("buffer", 0), f"bufferViews[{view_number}].buffer"),
+            (view.get("byteOffset", 0), f"bufferViews[{view_number}].byteOffset"),
+            (view.get("byteStride", 0), f"bufferViews[{view_number}].byteStride"),
+            (view.get("byteLength", 0), f"bufferViews[{view_number}].byteLength"),
+            (accessor.get("byteOffset", 0), f"{where}.byteOffset"),
+            (accessor.get("count", 0), f"{where}.count"),
+        ]
+        for value, place in numbers:
+            if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+                raise self.error(place, kind(value), "a whole number, 0 or more")
+        buffer, begin, stride, length, offset, count = (value for value, _ in numbers)
+        stride = stride or width * dtype.itemsize
+        end = offset + (count - 1) * stride + width * dtype.itemsize if count else offset
+        if buffer >= len(self._buffers) or begin + length > len(self._buffers[buffer]):
+            raise self.error(
+                f"bufferViews[{view_number}]", "longer than its buffer", "a part of it"
+            )
+        if count == 0 or end > length:
+            raise self.error(where, f"{count} values", "as many as its view holds, 1 or more")
+        return buffer, begin + offset, dtype, count, width, stride
+
+    def read(self) -> Array:
+        """The vertices [V, 3] of all parts, in the world."""
+        parts = []
+        for part in self._parts:
+            local = self._positions(part.accessor)
+            parts.append(local @ part.matrix[:3, :3].T + part.matrix[:3, 3])
+        return np.concatenate(parts)
+
+    def read_faces(self) -> Indices | None:
+        """Triangles [F, 3]; None if there are none."""
+        faces = [one.triangles + one.part.first for one in self._primitives]
+        joined = np.concatenate(faces) if faces else np.empty((0, 3), np.int64)
+        return joined if len(joined) else None
+
+    def read_colours(self) -> None:
+        """glTF keeps colours in textures: no colours of vertices are read."""
+        return
+
+    @property
+    def stale_after_moving(self) -> str:
+        """What is wrong once the vertices have moved: normals and tangents are turned."""
+        return ""
+
+    def require_movable(self) -> None:
+        """Raise InputError if two nodes share vertices, which could not move apart."""
+        accessors = [part.accessor for part in self._parts]
+        if len(set(accessors)) < len(accessors):
+            twice = next(one for one in accessors if accessors.count(one) > 1)
+            nodes = self._document["nodes"]
+            names = [
+                plain(str(nodes[part.node].get("name", part.node)))
+                for part in self._parts if part.accessor == twice
+            ]  # fmt: skip
+            raise InputError(
+                f"{self.path}: the nodes {' and '.join(names[:2])} share one mesh, so they cannot "
+                "move apart; give each a mesh of its own (in Blender: Object, Relations, Make "
+                "Single User)"
+            )
+        for part in self._parts:
+            if abs(np.linalg.det(part.matrix[:3, :3])) < 1e-12:
+                raise InputError(
+                    f"{self.path}: a node scales its mesh to a plane, expected a scale > 0"
+                )
+
+    def with_points(self, points: Array) -> bytes:
+        """The file with its vertices moved to ``points`` [V, 3] of the world."""
+        self.require_movable()
+        buffers = [bytearray(buffer) for buffer in self._buffers]
+        bounds: dict[int, tuple[list[float], list[float]]] = {}
+        before = self.read()
+        if np.array_equal(before, points):
+            return self.data
+        for part in self._parts:
+            span = slice(part.first, part.first + part.count)
+            moved = (before[span] != points[span]).any(1)
+            inverse = np.linalg.inv(part.matrix[:3, :3])
+            local = (points[span] - part.matrix[:3, 3]) @ inverse.T
+            target = self._writable(buffers, part.accessor, ("VEC3",))
+            with np.errstate(all="ignore"):  # a coordinate too large is an error of the caller
+                target[moved] = local[moved]
+            bounds[part.accessor] = target.min(0).tolist(), target.max(0).tolist()
+        self._turn_directions(buffers, before, points)
+        return self._assembled(buffers, bounds)
+
+    def _writable(
+        self, buffers: list[bytearray], accessor: int, types: tuple[str, ...]
+    ) -> NDArray[Any]:
+        buffer, offset, dtype, count, width, stride = self._layout(accessor, types)
+        return np.ndarray((count, width), dtype, buffers[buffer], offset, (stride, dtype.itemsize))
+
+    def _turn_directions(self, buffers: list[bytearray], before: Array, after: Array) -> None:
+        """Turn normals and tangents with the faces around them."""
+        done: set[int] = set()
+        for primitive in self._primitives:
+            for accessor, form in ((primitive.normal, "VEC3"), (primitive.tangent, "VEC4")):
+                if accessor is None or accessor in done:
+                    continue
+                done.add(accessor)
+                target = self._writable(buffers, accessor, (form,))
+                part = primitive.part
+                if target.dtype != np.dtype("<f4") or len(target) != part.count:
+                    continue
+                faces = np.concatenate([
+                    one.triangles for one in self._primitives
+                    if one.part is part and accessor in (one.normal, one.tangent)
+                ])  # fmt: skip
+                span = slice(part.first, part.first + part.count)
+                inverse = np.linalg.inv(part.matrix[:3, :3])
+                local = [
+                    (points[span] - part.matrix[:3, 3]) @ inverse.T for points in (before, after)
+                ]
+                directions = _as_double(target[:, :3])
+                # Copies of a vertex along a seam of the texture have the same normal: one group.
+                group = same_places(np.c_[np.round(local[0], 9), np.round(directions, 6)])
+                firsts = np.unique(group, return_index=True)[1]
+                turned = turned_normals(directions[firsts], group[faces], faces, *local)
+                change = (turned[group] != directions).any(1)
+                with np.errstate(all="ignore"):
+                    target[change, :3] = turned[group][change]
+
+    def _assembled(
+        self, buffers: list[bytearray], bounds: dict[int, tuple[list[float], list[float]]]
+    ) -> bytes:
+        text = with_bounds(self._text, bounds)
+        documents = objects_of(self, self._document, "buffers")
+        for number, buffer in enumerate(documents):
+            uri = buffer.get("uri")
+            if uri is None or buffers[number] == self._buffers[number]:
+                continue
+            inline = base64.b64encode(buffers[number]).decode()
+            encoded = json.dumps(f"{_DATA}application/octet-stream;base64,{inline}")
+            text = with_uri(text, number, encoded)
+        if self.suffix == ".gltf":
+            return text.encode()
+        head = text.rstrip(" ").encode()
+        head += b" " * (-len(head) % 4)
+        own = next((i for i, one in enumerate(documents) if "uri" not in one), None)
+        chunks = struct.pack("<I4s", len(head), JSON_CHUNK) + head
+        if own is not None:
+            binary = bytes(buffers[own])
+            chunks += struct.pack("<I4s", len(binary), BINARY_CHUNK) + binary
+        version = self.data[4:8]
+        return MAGIC + version + struct.pack("<I", 12 + len(chunks)) + chunks
+
+
+def _as_double(values: NDArray[Any]) -> Array:
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        return values.astype(np.float64)

@@ -1,0 +1,153 @@
+"""The JSON of a glTF or GLB scene: its nodes, their places, and changes of a few of its values."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.arrays import Array
+from ..geometry.rotations import from_quaternion
+from .checked import Checked, kind
+from .output import reason
+
+MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", b"JSON", b"BIN\0"
+MOST_NODES = 100_000
+
+
+def scene_text(data: bytes, path: Path) -> tuple[str, bytes]:
+    """The JSON of a scene, and the binary part of a GLB (empty without one)."""
+    try:
+        if data[:4] != MAGIC:
+            return data.decode("utf-8-sig"), b""
+        length, form = struct.unpack_from("<I4s", data, 12)
+        if form != JSON_CHUNK or 20 + length > len(data):
+            raise ValueError("its first part is not JSON")
+        text, rest = data[20 : 20 + length].decode(), data[20 + length :]
+        if not rest:
+            return text, b""
+        length, form = struct.unpack_from("<I4s", rest)
+        if form != BINARY_CHUNK or 8 + length > len(rest):
+            raise ValueError("its second part is not a whole BIN")
+        return text, rest[8 : 8 + length]
+    except (struct.error, ValueError) as error:
+        raise InputError(f"{path}: is a damaged GLB or glTF ({reason(error)})") from None
+
+
+def document_of(text: str, path: Path) -> dict[str, Any]:
+    """The JSON document of a scene."""
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is a damaged GLB or glTF ({reason(error)})") from None
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: holds {kind(document)}, expected the object of a glTF scene")
+    return document
+
+
+def objects_of(checked: Checked, document: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    """The list of objects ``key`` of a scene; empty if it has none."""
+    values = document.get(key, [])
+    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+        raise checked.error(key, kind(values), "a list of objects")
+    if len(values) > MOST_NODES:
+        raise checked.error(key, f"a list of {len(values):,}", f"at most {MOST_NODES:,}")
+    return values
+
+
+def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:
+    """The matrix [4, 4] of each node to the world."""
+    parent: dict[int, int] = {}
+    for number, node in enumerate(nodes):
+        children = node.get("children", [])
+        for child in children if isinstance(children, list) else [children]:
+            if not isinstance(child, int) or not 0 <= child < len(nodes) or child in parent:
+                raise checked.error(f"nodes[{number}].children", kind(child), "other nodes, once")
+            parent[child] = number
+    local = [_local(checked, number, node) for number, node in enumerate(nodes)]
+    places: dict[int, Array] = {}
+    for number in range(len(nodes)):
+        chain, at = [], number
+        while at not in places:
+            chain.append(at)
+            if at not in parent:
+                break
+            at = parent[at]
+            if at in chain:
+                raise checked.error("nodes", "a circle", "a tree")
+        for one in reversed(chain):
+            above = places.get(parent.get(one, -1))
+            places[one] = local[one] if above is None else above @ local[one]
+    return [places[number] for number in range(len(nodes))]
+
+
+def _local(checked: Checked, number: int, node: dict[str, Any]) -> Array:
+    where = f"nodes[{number}]"
+    if "matrix" in node:
+        return checked.matrix(f"{where}.matrix", node["matrix"], (16,)).reshape(4, 4).T
+    matrix = np.eye(4)
+    x, y, z, w = checked.matrix(
+        f"{where}.rotation", node.get("rotation", [0, 0, 0, 1]), (4,)
+    ).tolist()
+    matrix[:3, :3] = from_quaternion(w, x, y, z)
+    matrix[:3, :3] *= checked.matrix(f"{where}.scale", node.get("scale", [1, 1, 1]), (3,))
+    matrix[:3, 3] = checked.matrix(f"{where}.translation", node.get("translation", [0, 0, 0]), (3,))
+    return matrix
+
+
+def _values_in(text: str, at: int) -> Iterator[tuple[str | int, int, int]]:
+    """The members of the object or list that begins at ``text[at]``: key, begin and end."""
+    decoder = json.JSONDecoder()
+
+    def skip(place: int) -> int:
+        while text[place] in " \t\r\n":
+            place += 1
+        return place
+
+    is_object = text[at] == "{"
+    at, number = skip(at + 1), 0
+    while text[at] not in "}]":
+        key: str | int = number
+        if is_object:
+            key, at = decoder.raw_decode(text, at)
+            at = skip(skip(at) + 1)
+        _, end = decoder.raw_decode(text, at)
+        yield key, at, end
+        at, number = skip(end), number + 1
+        if text[at] == ",":
+            at = skip(at + 1)
+
+
+def _member(text: str, at: int, key: str | int) -> tuple[int, int] | None:
+    return next(((begin, end) for name, begin, end in _values_in(text, at) if name == key), None)
+
+
+def with_bounds(text: str, bounds: dict[int, tuple[list[float], list[float]]]) -> str:
+    """The JSON ``text`` of a scene with other ``min`` and ``max`` of these accessors."""
+    listed = _member(text, text.index("{"), "accessors")
+    assert listed is not None
+    changes = []
+    for number, begin, _ in _values_in(text, listed[0]):
+        if number not in bounds:
+            continue
+        for name, values in zip(("min", "max"), bounds[int(number)], strict=True):
+            if place := _member(text, begin, name):
+                changes.append((*place, json.dumps(values)))
+    for begin, end, new in sorted(changes, reverse=True):
+        text = text[:begin] + new + text[end:]
+    return text
+
+
+def with_uri(text: str, number: int, encoded: str) -> str:
+    listed = _member(text, text.index("{"), "buffers")
+    assert listed is not None
+    of_buffer = _member(text, listed[0], number)
+    assert of_buffer is not None
+    place = _member(text, of_buffer[0], "uri")
+    assert place is not None
+    return text[: place[0]] + encoded + text[place[1] :]
