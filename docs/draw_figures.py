@@ -20,7 +20,7 @@ from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.window import window_of
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
-from tso_cli.io.images import read_mask
+from tso_cli.io.masks import read_mask
 
 DOCS = Path(__file__).parent
 CHAIR = DOCS.parent / "examples" / "chair"

@@ -6,7 +6,7 @@ from tso_cli import refine
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
-from tso_cli.io.images import read_mask
+from tso_cli.io.masks import read_mask
 
 chair = Path(__file__).parent / "chair"
 points = read_cloud(chair / "initial.ply").points  # [N, 3]

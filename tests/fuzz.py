@@ -19,7 +19,7 @@ READERS = {
         for suffix in (".ply", ".obj", ".off", ".stl", ".glb")
     },
     **{
-        f"mask{suffix}": ("io.images:read_mask", suffix)
+        f"mask{suffix}": ("io.masks:read_mask", suffix)
         for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy")
     },
     "faces": ("tests.fuzz:faces", ".ply"),

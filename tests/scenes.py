@@ -12,7 +12,7 @@ from tso_cli.cloud.cloud import Cloud
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
-from tso_cli.io.images import read_mask
+from tso_cli.io.masks import read_mask
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.optimisation.problem import Problem, prepare
 

@@ -15,7 +15,8 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import farthest_point_sample, normalise_longest_side, sample_surface
 from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.io.images import read_mask, write_image
+from tso_cli.io.images import write_image
+from tso_cli.io.masks import read_mask
 from tso_cli.io.meshes import read_mesh, write_mesh
 from tso_cli.io.shipped import examples_folder
 from tso_cli.losses.silhouette import silhouette_of

@@ -12,7 +12,7 @@ from tests.scenes import EXAMPLES
 from tso_cli.diagnosis.hypotheses import HYPOTHESES
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.io.images import read_mask
+from tso_cli.io.masks import read_mask
 
 POINTS = ("initial.ply", "mask.png")
 CONTRACT = {"confidence", "verdict", "reason", "warnings", "suspects"}

@@ -22,7 +22,8 @@ from tso_cli.commands import refine_run
 from tso_cli.errors import InputError
 from tso_cli.io import output, reading
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.io.images import read_depth, read_mask
+from tso_cli.io.images import read_depth
+from tso_cli.io.masks import read_mask
 from tso_cli.io.output import atomic_output, lock, sole_writer
 from tso_cli.io.ply_body import BinaryBody
 from tso_cli.io.reading import TextTable

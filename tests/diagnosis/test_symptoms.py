@@ -13,7 +13,7 @@ from tso_cli import Camera, View
 from tso_cli.diagnosis import symptoms
 from tso_cli.diagnosis.cells import Outline
 from tso_cli.diagnosis.placement import place
-from tso_cli.io.images import read_mask
+from tso_cli.io.masks import read_mask
 
 from .common import EXAMPLES, boxed
 

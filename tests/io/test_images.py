@@ -8,7 +8,8 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused, repair_png
-from tso_cli.io.images import PIXEL_LIMIT, read_depth, read_image, read_mask, write_image
+from tso_cli.io.images import PIXEL_LIMIT, read_depth, read_image, write_image
+from tso_cli.io.masks import read_mask
 
 pytestmark = pytest.mark.filterwarnings("error")
 SHAPE = np.zeros((6, 9), dtype=bool)

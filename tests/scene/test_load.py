@@ -12,7 +12,7 @@ from tests.scenes import EXAMPLES as FOLDER
 from tests.scenes import block
 from tso_cli.diagnosis.hypotheses import INVERTED
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.io.images import read_mask
+from tso_cli.io.masks import read_mask
 from tso_cli.scene.load import MIRRORED, load_points_scene
 from tso_cli.scene.views import NO_FILE, ViewFiles, load_views
 

@@ -164,6 +164,17 @@ def _formats() -> dict[str, str]:
 )
 @options.flag("--invert-mask", "The object is dark in the mask.")
 @click.option(
+    "--label",
+    metavar="N",
+    help="Label of the object in masks that show several; R,G,B in coloured ones.",
+)
+@click.option(
+    "--mask-index",
+    type=options.Whole(0),
+    metavar="N",
+    help="Place of the object's mask in an array or list of several masks.",
+)
+@click.option(
     "--ignore",
     type=PATH,
     multiple=True,

@@ -10,6 +10,7 @@ from ..diagnosis.hypotheses import assumptions_of
 from ..errors import InputError
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
 from ..io.clouds import check_suffix, write_cloud
+from ..io.masks import MaskChoice
 from ..io.output import atomic_output, check_output
 from ..io.shipped import DEFAULT, named_checkpoint
 from ..refinement import RefineResult
@@ -33,6 +34,8 @@ class RefineInputs:
     preset: str
     source: Path
     masks: tuple[Path, ...]
+    label: str | None
+    mask_index: int | None
     camera: Path | None
     camera_format: str | None
     object_id: int | None
@@ -150,6 +153,7 @@ class RefineInputs:
             files = ViewFiles(
                 self.masks,
                 camera,
+                choice=MaskChoice(self.label, self.mask_index),
                 camera_format=self.camera_format,
                 object_id=self.object_id,
                 intrinsics=self.intrinsics,

@@ -20,7 +20,8 @@ from ..geometry.arrays import Array, Floats, Indices, Pixels
 from ..geometry.camera import Camera
 from ..geometry.points import farthest_point_sample, sample_surface
 from ..io.clouds import read_cloud
-from ..io.images import read_image, read_mask
+from ..io.images import read_image
+from ..io.masks import read_mask
 from ..io.output import reason
 from ..io.reading import read_bytes, shown
 from .items import Dataset, ObjectItem, ViewItem

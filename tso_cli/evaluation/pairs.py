@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..io.cameras import find_camera, read_camera, read_partial_cameras
-from ..io.images import read_mask
+from ..io.masks import read_mask
 from ..io.shapes import SUFFIXES
 
 # In a folder a .txt file is more often a note than a cloud.

@@ -1,11 +1,11 @@
-"""Masks, depth maps and pictures: files in, arrays out; writes PNG.
+"""Pictures and depth maps: files in, arrays out; writes PNG. `masks` reads masks.
 
-A picture that the camera marked as rotated is turned upright.
+A picture that the camera marked as rotated is turned upright, unless the stored raster is asked
+for.
 """
 
 from __future__ import annotations
 
-import functools
 import io
 import os
 import threading
@@ -29,42 +29,32 @@ PIXEL_LIMIT = 100_000_000
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
-_FILE_LIMIT = 1 << 31
+FILE_LIMIT = 1 << 31
 # Standard error is redirected while a TIFF is decoded: one thread at a time.
 _stderr_lock = threading.Lock()
 Convert = Callable[["Image.Image", Path], NDArray[Any]]
-_WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
+WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
+_ORIENTATION = 0x0112
 
 
-def read_mask(path: str | Path) -> Floats:
-    """Read a picture or .npy file as a mask [H, W] in [0, 1]; inside is 1, soft values stay.
-
-    The values of a picture are, in this order:
-
-    1. its alpha channel, if at least 0.1 % of it is transparent;
-    2. for a palette whose used colours are not all grey, 0 at index 0 and 1 at all other indices;
-    3. its brightness (of a colour the largest channel).
-
-    Integers are divided by the largest value of their type. If the largest value in the file is 1,
-    they are labels 0 and 1 instead, with a warning.
-
-    Raises InputError if the file is not a readable image, has over 100 megapixels, or has values
-    outside [0, 1].
-    """
-    path = Path(path)
-    return _to_unit(_read_values(path, "a mask image", "a mask [H, W]", "bfiu", _mask_values), path)
-
-
-def read_depth(path: Path, scale: float = 1.0) -> Array:
+def read_depth(path: Path, scale: float = 1.0, upright: bool = True) -> Array:
     """Read a depth map [H, W] from a picture of one grey channel or a .npy file.
 
     The values of the file times ``scale`` are in units of the camera. 0, NaN and infinity mean
     unknown and become NaN. Raises InputError if the file is not such a map, or a depth is negative.
     """
+    data = read_bytes(path, "a depth map", FILE_LIMIT)
+    if path.suffix.lower() == ".npy":
+        values = read_array(data, path)
+        if values.ndim != 2 or values.dtype.kind not in "fiu" or 0 in values.shape:
+            raise InputError(
+                f"{path}: holds {values.dtype} {list(values.shape)}, expected a depth map [H, W]"
+            )
+        check_size(values.shape[1], values.shape[0], path)
+    else:
+        values = decoded(data, path, "a depth map", _depth_values, upright)
     with np.errstate(invalid="ignore"):  # signalling NaN
-        depth = _read_values(
-            path, "a depth map", "a depth map [H, W]", "fiu", _depth_values
-        ).astype(np.float64)
+        depth = values.astype(np.float64)
     depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
     least = np.nanmin(depth, initial=np.inf)
     if least < 0.0:
@@ -82,25 +72,26 @@ def read_depth(path: Path, scale: float = 1.0) -> Array:
     return depth * scale
 
 
-def _read_values(path: Path, what: str, form: str, kinds: str, convert: Convert) -> NDArray[Any]:
-    """[H, W] from a picture by ``convert``, or from a .npy file of one of numpy's ``kinds``."""
-    data = read_bytes(path, what, _FILE_LIMIT)
-    if path.suffix.lower() != ".npy":
-        return _decode(data, path, what, convert)
-    array = read_array(data, path)
-    if array.ndim != 2 or array.dtype.kind not in kinds or 0 in array.shape:
-        raise InputError(f"{path}: holds {array.dtype} {list(array.shape)}, expected {form}")
-    _check_size(array.shape[1], array.shape[0], path)
-    return array
-
-
-def read_image(path: str | Path) -> Pixels:
+def read_image(path: str | Path, upright: bool = True) -> Pixels:
     """Read a picture as [H, W, 3], or as [H, W, 4] if it has an alpha channel.
 
-    Raises InputError as `read_mask`.
+    ``upright`` turns it as its EXIF orientation says. Raises InputError if the file is not a
+    readable image or has over 100 megapixels.
     """
     path = Path(path)
-    return _decode(read_bytes(path, "an image", _FILE_LIMIT), path, "an image", _colours)
+    data = read_bytes(path, "an image", FILE_LIMIT)
+    return decoded(data, path, "an image", _colours, upright)
+
+
+def orientation(path: Path) -> int:
+    """The EXIF orientation of a picture, 1 for an upright one and for other files."""
+    from PIL import Image
+
+    try:
+        with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
+            return int(image.getexif().get(_ORIENTATION, 1))
+    except Exception:  # the reader of the file says what is wrong with it
+        return 1
 
 
 def as_colours(image: Image.Image, path: Path) -> Pixels:
@@ -108,7 +99,7 @@ def as_colours(image: Image.Image, path: Path) -> Pixels:
 
     Raises InputError if the picture is too large, and whatever Pillow raises.
     """
-    _check_size(image.width, image.height, path)
+    check_size(image.width, image.height, path)
     _load(image)
     return _colours(image, path)
 
@@ -122,7 +113,7 @@ def write_image(path: Path, array: Pixels, overwrite: bool = False) -> None:
         Image.fromarray(array).save(temporary, format="PNG")
 
 
-def _check_size(width: int, height: int, path: Path) -> None:
+def check_size(width: int, height: int, path: Path) -> None:
     if width * height > PIXEL_LIMIT:
         raise InputError(
             f"{path}: is {width}x{height}, {width * height:,} pixels, "
@@ -158,8 +149,10 @@ def _load(image: Image.Image) -> None:
                 raise OSError(printed.decode("ascii", "replace"))
 
 
-def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any]:
-    """Open a picture, turn it upright and ``convert`` it.
+def decoded(
+    data: bytes, path: Path, what: str, convert: Convert, upright: bool = True
+) -> NDArray[Any]:
+    """Open a picture, turn it ``upright`` and ``convert`` it.
 
     Every error and warning of Pillow becomes one line that begins with the file.
     """
@@ -170,9 +163,10 @@ def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any
             warnings.simplefilter("always")
             with Image.open(io.BytesIO(data), formats=FORMATS) as image:
                 # The header gives the size; nothing has been decoded yet.
-                _check_size(image.width, image.height, path)
+                check_size(image.width, image.height, path)
                 _load(image)
-                ImageOps.exif_transpose(image, in_place=True)
+                if upright:
+                    ImageOps.exif_transpose(image, in_place=True)
                 array: NDArray[Any] = convert(image, path)
     except InputError:
         raise
@@ -194,34 +188,6 @@ def _decode(data: bytes, path: Path, what: str, convert: Convert) -> NDArray[Any
     return array
 
 
-def _mask_values(image: Image.Image, path: Path) -> NDArray[Any]:
-    """The values of `read_mask` [H, W]: bool, uint8, uint16 or float."""
-    from PIL import ImageChops
-
-    transparency = "transparency" in image.info and image.mode in ("P", "L", "RGB")
-    if transparency or image.mode in _WITH_ALPHA:
-        with_channel = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
-        alpha = np.asarray(with_channel.getchannel("A"))
-        # The alpha channel is no mask if an editor left a few pixels of it transparent, or if it is
-        # slightly transparent everywhere.
-        if np.count_nonzero(alpha < 128) >= 1e-3 * alpha.size:
-            return alpha
-    if image.mode == "P":
-        return _palette_values(image)
-    if image.mode in ("1", "L", "F"):
-        return np.asarray(image)
-    if image.mode.startswith("I;16"):
-        return np.asarray(image).astype(np.uint16)
-    if image.mode == "I":
-        values = np.asarray(image)
-        if values.min() < 0 or values.max() > 65535:
-            raise InputError(
-                f"{path}: its values span {values.min()} to {values.max()}, expected 0 to 65535"
-            )
-        return values.astype(np.uint16)
-    return np.asarray(functools.reduce(ImageChops.lighter, image.convert("RGB").split()))
-
-
 def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
     if image.mode not in ("L", "I", "F") and not image.mode.startswith("I;16"):
         raise InputError(
@@ -231,20 +197,7 @@ def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
     return np.asarray(image)
 
 
-def _palette_values(image: Image.Image) -> NDArray[Any]:
-    index = np.asarray(image)
-    used = np.flatnonzero(image.histogram())
-    whole_palette = image.resize((256, 1))
-    whole_palette.putdata(range(256))
-    colours = np.asarray(whole_palette.convert("RGB"))[0, used]
-    grey = (colours == colours[:, :1]).all()
-    # A palette with one colour for different indices says nothing: then the indices are labels.
-    if grey and (used.size == 1 or colours.min() != colours.max()):
-        return np.asarray(image.convert("L"))
-    return index != 0
-
-
-def _to_unit(array: NDArray[Any], path: Path) -> Floats:
+def to_unit(array: NDArray[Any], path: Path) -> Floats:
     if array.dtype.kind == "f":
         with np.errstate(invalid="ignore"):  # signalling NaN
             values = np.asarray(array, dtype=np.float64)
@@ -271,10 +224,24 @@ def _to_unit(array: NDArray[Any], path: Path) -> Floats:
     return (np.arange(full + 1) / full).astype(np.float32)[array]
 
 
+def grey_values(image: Image.Image, path: Path) -> NDArray[Any]:
+    """The values [H, W] of a picture with one grey channel: bool, uint8, uint16 or float."""
+    if image.mode.startswith("I;16"):
+        return np.asarray(image).astype(np.uint16)
+    if image.mode == "I":
+        values = np.asarray(image)
+        if values.min() < 0 or values.max() > 65535:
+            raise InputError(
+                f"{path}: its values span {values.min()} to {values.max()}, expected 0 to 65535"
+            )
+        return values.astype(np.uint16)
+    return np.asarray(image)
+
+
 def _colours(image: Image.Image, path: Path) -> Pixels:
     if image.mode.startswith("I;16") or image.mode in ("I", "F"):
         # Pillow would clip these values at 255.
-        grey = np.rint(_to_unit(_mask_values(image, path), path) * 255.0).astype(np.uint8)
+        grey = np.rint(to_unit(grey_values(image, path), path) * 255.0).astype(np.uint8)
         return np.repeat(grey[..., None], 3, axis=2)
-    alpha = image.mode in _WITH_ALPHA or "transparency" in image.info
+    alpha = image.mode in WITH_ALPHA or "transparency" in image.info
     return np.array(image.convert("RGBA" if alpha else "RGB"), dtype=np.uint8)

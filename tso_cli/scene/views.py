@@ -10,14 +10,25 @@ import numpy as np
 
 from ..diagnosis.hypotheses import INVERTED, Assumption, assumptions_of
 from ..errors import InputError
+from ..geometry.arrays import Floats
 from ..geometry.camera import Camera
 from ..geometry.distortion import Distortion, undistorted
 from ..geometry.view import View
-from ..io.cameras import PartialCamera, find_camera, paired, read_partial_cameras, words_of
-from ..io.images import read_depth, read_image, read_mask
+from ..io.cameras import (
+    PartialCamera,
+    find_camera,
+    paired,
+    read_partial_cameras,
+    same_shape,
+    words_of,
+)
+from ..io.images import orientation, read_depth, read_image
+from ..io.masks import MaskChoice, read_mask
 
 NO_FILE = "(no camera file was given or found next to the mask)"
 OWN_FORMAT = "tso"
+EXIF_TURNED = "the mask is turned upright by its EXIF orientation"
+EXIF_STORED = "the mask is taken as it is stored, its EXIF orientation is ignored"
 
 
 @dataclass(frozen=True)
@@ -28,6 +39,7 @@ class ViewFiles:
     camera_format : its format; None finds out. object_id : the object of a data set with several.
     intrinsics : a camera file whose K is used in place of that of ``camera``.
     assume : names of hypotheses that are taken as true. invert : "mask-inverted" is one of them.
+    choice : which object of a mask file is meant.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
     """
 
@@ -42,6 +54,7 @@ class ViewFiles:
     depth: Sequence[Path] = ()
     depth_scale: float = 1.0
     image: Sequence[Path] = ()
+    choice: MaskChoice = MaskChoice()
 
     def one_each(self, name: str, plural: str, files: Sequence[Path]) -> Sequence[Path | None]:
         """The file of each mask, None where there are no files; InputError for another number."""
@@ -111,7 +124,7 @@ def load_views(files: ViewFiles) -> tuple[list[View], list[CameraOrigin]]:
     partial, origins = _cameras(files)
     views, found = [], []
     for mask, ignored, camera, origin in zip(files.masks, ignore, partial, origins, strict=True):
-        view, scaled = _read_view(mask, camera, origin, ignored)
+        view, scaled = _read_view(mask, camera, origin, ignored, files.choice)
         views.append(view)
         found.append(replace(origin, notes=(*origin.notes, *scaled)))
     views = with_depth_and_images(views, files)
@@ -128,7 +141,7 @@ def view_without_camera(files: ViewFiles) -> View:
     """The view of a single mask with the canonical pose, and K of `ViewFiles.intrinsics`."""
     (mask,) = files.masks
     (ignore,) = files.one_each("ignore", "ignore maps", files.ignore)
-    view, _ = _read_view(mask, None, CameraOrigin(None), ignore)
+    view, _ = _read_view(mask, None, CameraOrigin(None), ignore, files.choice)
     (view,) = with_depth_and_images([view], files)
     if files.intrinsics is None:
         return view
@@ -186,16 +199,25 @@ def with_intrinsics(camera: PartialCamera, file: Path, mask: Path) -> PartialCam
 
 
 def _read_view(
-    mask_file: Path, camera: PartialCamera | None, origin: CameraOrigin, ignore_file: Path | None
+    mask_file: Path,
+    camera: PartialCamera | None,
+    origin: CameraOrigin,
+    ignore_file: Path | None,
+    choice: MaskChoice,
 ) -> tuple[View, list[str]]:
-    """A mask with its camera, and what was done to the camera's numbers."""
-    mask = read_mask(mask_file)
+    """A mask with its camera, and what was done to the camera's numbers and to the picture."""
+    mask = read_mask(mask_file, choice)
+    upright = True
+    turned = orientation(mask_file) > 1
+    if turned and camera is not None and not (camera.size and _only_upright(camera.size, mask)):
+        # A camera is of the picture as it is stored: programs that calibrate read it so.
+        mask, upright = read_mask(mask_file, choice, upright=False), False
     height, width = mask.shape
     known = None
     if ignore_file is not None:
-        known = read_mask(ignore_file) <= 0.5
+        known = read_mask(ignore_file, upright=upright) <= 0.5
         require_same_size(ignore_file, known.shape, mask_file, mask.shape)
-    notes = []
+    notes = [EXIF_TURNED if upright else EXIF_STORED] if turned else []
     if camera is None or origin.file is None:
         full = Camera.canonical(width, height)
     else:
@@ -203,6 +225,12 @@ def _read_view(
         if camera.size and camera.size != (width, height):
             notes.append(f"K scaled from {camera.size[0]}x{camera.size[1]} to {width}x{height}")
     return View(mask, full, known, name=str(mask_file)), notes
+
+
+def _only_upright(size: tuple[int, int], mask: Floats) -> bool:
+    """Whether a picture of ``size`` has the proportions of the upright ``mask`` alone."""
+    height, width = mask.shape
+    return same_shape(size, (width, height)) and not same_shape(size, (height, width))
 
 
 def with_depth_and_images(views: Sequence[View], files: ViewFiles) -> list[View]:

@@ -10,7 +10,7 @@ from ...errors import InputError
 from ...geometry.camera import Camera
 from .formats import FORMATS, read_partial_cameras, words_of
 from .matching import names_mask, paired
-from .record import CameraRecord, PartialCamera, of_pixels
+from .record import CameraRecord, PartialCamera, of_pixels, same_shape
 from .write import camera_text, write_cameras
 
 # Files that are looked for next to a mask, after MASKSTEM.camera.json.

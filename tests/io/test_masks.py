@@ -1,0 +1,165 @@
+"""Masks as segmenters and labelling tools write them."""
+
+import json
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.corruption import assert_reads_or_refuses, assert_refused
+from tso_cli.io.images import orientation
+from tso_cli.io.masks import MaskChoice, labels_of, read_mask
+
+FILES = Path(__file__).with_name("files") / "masks"
+ONE = np.zeros((40, 60), bool)
+ONE[8:20, 10:30] = True
+OTHER = np.zeros((40, 60), bool)
+OTHER[24:36, 34:56] = True
+LABELS = (ONE + 2 * OTHER).astype(np.uint8)
+
+
+def saved(path, array, **options):
+    Image.fromarray(array).save(path, **options)
+    return path
+
+
+def palette(labels):
+    image = Image.fromarray(labels, "P")
+    image.putpalette([0, 0, 0, 128, 0, 0, 0, 128, 0, 128, 128, 0])
+    return image
+
+
+def test_of_several_labels_one_must_be_chosen_and_is_then_taken(tmp_path):
+    palette(LABELS).save(tmp_path / "palette.png")
+    colours = np.zeros((*LABELS.shape, 3), np.uint8)
+    colours[ONE], colours[OTHER] = (140, 25, 255), (20, 60, 10)
+    paths = {
+        saved(tmp_path / "grey.png", LABELS): ("1", "2"),
+        saved(tmp_path / "sixteen.png", LABELS.astype(np.uint16) * 1000): ("1000", "2000"),
+        tmp_path / "palette.png": ("1", "2"),
+        saved(tmp_path / "colours.png", colours): ("140,25,255", "20,60,10"),
+    }
+    for path, (first, second) in paths.items():
+        message = (
+            rf"{path.name}: holds several labels, expected one of {second} \(264 px\), {first} "
+        )
+        assert_refused(message, read_mask, path)
+        for label, mask in ((first, ONE), (second, OTHER)):
+            np.testing.assert_array_equal(read_mask(path, MaskChoice(label)), mask)
+    assert_refused("has no label 7, expected one of 2", read_mask, path.with_name("grey.png"),
+                   MaskChoice("7"))  # fmt: skip
+    assert_refused("expected a colour R,G,B", read_mask, path, MaskChoice("7"))
+
+
+@pytest.mark.parametrize("value", [1, 2, 38, 100, 200])
+def test_one_label_is_taken_whatever_its_value(tmp_path, value):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mask = read_mask(saved(tmp_path / "one.png", (ONE * value).astype(np.uint8)))
+    np.testing.assert_array_equal(mask > 0.5, ONE)
+
+
+def test_the_soft_edge_of_a_mask_is_no_label():
+    soft = np.asarray(Image.fromarray((ONE * 255).astype(np.uint8)).resize((75, 50)))
+    assert len(np.unique(soft)) > 3
+    assert labels_of(soft) == {255: labels_of(soft)[255]}
+    assert labels_of(LABELS) == {1: 240, 2: 264}
+    # The background is what most of the border shows.
+    assert set(labels_of(LABELS + 5)) == {6, 7}
+
+
+def test_a_jpeg_of_a_mask_has_no_labels(tmp_path):
+    path = saved(tmp_path / "mask.jpg", (ONE * 255).astype(np.uint8), quality=60)
+    np.testing.assert_array_equal(read_mask(path) > 0.5, ONE)
+
+
+def test_arrays_of_segmenters_are_read(tmp_path):
+    import torch
+
+    for name, array in {
+        "hw": ONE, "1hw": ONE[None], "11hw": ONE[None, None], "hw1": ONE[..., None],
+        "same": np.stack([ONE, ONE, ONE]), "float": ONE.astype("f4"), "white": ONE * 255.0,
+    }.items():  # fmt: skip
+        np.save(tmp_path / f"{name}.npy", array)
+        np.testing.assert_array_equal(read_mask(tmp_path / f"{name}.npy"), ONE)
+    np.savez(tmp_path / "a.npz", ONE)
+    torch.save(torch.from_numpy(ONE[None]), tmp_path / "a.pt")
+    for name in ("a.npz", "a.pt"):
+        np.testing.assert_array_equal(read_mask(tmp_path / name), ONE)
+
+
+def test_of_several_masks_in_an_array_one_must_be_chosen(tmp_path):
+    np.save(tmp_path / "three.npy", np.stack([ONE, OTHER, ~ONE]))
+    path = tmp_path / "three.npy"
+    assert_refused(r"holds 3 masks, expected one of 0 \(240 px\), 1 \(264 px\)", read_mask, path)
+    np.testing.assert_array_equal(read_mask(path, MaskChoice(index=1)), OTHER)
+    assert_refused("has no mask 3, expected `mask_index` 0 to 2", read_mask, path,
+                   MaskChoice(index=3))  # fmt: skip
+    np.save(tmp_path / "one.npy", ONE)
+    assert_refused("is one mask, `mask_index` 0", read_mask, tmp_path / "one.npy",
+                   MaskChoice(index=0))  # fmt: skip
+
+
+def test_logits_are_inside_where_they_are_over_zero(tmp_path):
+    np.save(tmp_path / "logits.npy", np.where(ONE, 3.5, -7.25).astype("f4"))
+    with pytest.warns(UserWarning, match=r"span -7.25 to 3.5, read as logits: inside is over 0"):
+        np.testing.assert_array_equal(read_mask(tmp_path / "logits.npy"), ONE)
+
+
+def test_coco_is_read_as_run_lengths_and_polygons(tmp_path):
+    flat = ONE.T.ravel()
+    edges = np.flatnonzero(np.diff(flat)) + 1
+    counts = np.diff([0, *edges, flat.size]).tolist()
+    rle = {"size": [40, 60], "counts": counts}
+    polygon = {"segmentation": [[10, 8, 30, 8, 30, 20, 10, 20]], "height": 40, "width": 60}
+    data_set = {
+        "images": [{"height": 40, "width": 60}],
+        "annotations": [{"segmentation": rle, "area": 240}, {"segmentation": rle, "area": 1}],
+    }
+    for name, document in (("rle", rle), ("annotation", {"segmentation": rle}), ("list", [rle])):
+        (tmp_path / f"{name}.json").write_text(json.dumps(document))
+        np.testing.assert_array_equal(read_mask(tmp_path / f"{name}.json"), ONE)
+    (tmp_path / "polygon.json").write_text(json.dumps(polygon))
+    drawn = read_mask(tmp_path / "polygon.json") > 0.5
+    assert np.count_nonzero(drawn ^ ONE) <= np.count_nonzero(ONE) * 0.15
+    (tmp_path / "set.json").write_text(json.dumps(data_set))
+    assert_refused(r"holds 2 segmentations, expected one of 0 \(240 px\)", read_mask,
+                   tmp_path / "set.json")  # fmt: skip
+    np.testing.assert_array_equal(read_mask(tmp_path / "set.json", MaskChoice(index=0)), ONE)
+
+
+def test_compressed_run_lengths_are_read_with_pycocotools(monkeypatch):
+    pytest.importorskip("pycocotools")
+    mask = read_mask(FILES / "rle.json")
+    assert mask.shape == (256, 256)
+    assert np.count_nonzero(mask) == 9679
+    np.testing.assert_array_equal(read_mask(FILES / "sam_auto.json", MaskChoice(index=0)), mask)
+    monkeypatch.setitem(__import__("sys").modules, "pycocotools", None)
+    assert_refused("pip install pycocotools", read_mask, FILES / "rle.json")
+
+
+def test_the_orientation_of_a_photo_is_known_and_its_raster_can_be_read_as_stored(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    path = saved(tmp_path / "turned.png", (ONE * 255).astype(np.uint8), exif=exif)
+    assert orientation(path) == 6
+    assert read_mask(path).shape == (60, 40)
+    np.testing.assert_array_equal(read_mask(path, upright=False), ONE)
+    assert orientation(FILES / "camera.json") == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["rle.json", "sam_auto.json", "palette.png", "labels16.png", "polygon.json"]
+)
+def test_damaged_masks_are_read_or_refused_in_one_line(tmp_path, name):
+    path = tmp_path / name
+    if name == "polygon.json":
+        path.write_text(
+            '{"segmentation": [[10, 8, 30, 8, 30, 20, 10, 20]], "height": 40, "width": 60}'
+        )
+    else:
+        path.write_bytes((FILES / name).read_bytes())
+    _, refused = assert_reads_or_refuses(lambda file: read_mask(file, MaskChoice()), path, 60)
+    assert refused > 5

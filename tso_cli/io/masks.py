@@ -1,0 +1,389 @@
+"""Masks [H, W] in [0, 1] of pictures, label images, arrays of segmenters and COCO."""
+
+from __future__ import annotations
+
+import functools
+import json
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..geometry.arrays import Bits, Floats
+from .archives import arrays_of
+from .checked import kind
+from .images import FILE_LIMIT, WITH_ALPHA, check_size, decoded, grey_values, to_unit
+from .output import reason
+from .reading import plain, read_array, read_bytes
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+# An image of at most this many values may be an image of labels.
+MOST_VALUES = 64
+# A label is a value with areas of its own: at least this share of its pixels has four neighbours
+# of the same value. The soft edge of a mask has hardly any such pixels.
+SOLID = 0.3
+# In a file with losses, values this close to black and white are black and white.
+LOSSES = 8
+LOSSY = ("JPEG", "WEBP")
+MOST_LISTED = 9
+# The most masks in one array [N, H, W]; more are the rows of a picture.
+MOST_MASKS = 64
+
+
+@dataclass(frozen=True)
+class MaskChoice:
+    """Which object of a file with several is meant.
+
+    label : the value in an image of labels; a colour as "R,G,B".
+    index : the place in an array of masks, or in a list of segmentations, from 0.
+    """
+
+    label: str | None = None
+    index: int | None = None
+
+
+def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool = True) -> Floats:
+    """Read a mask [H, W] in [0, 1]; inside is 1, soft values stay.
+
+    The values of a picture are, in this order:
+
+    1. its alpha channel, if at least 0.1 % of it is transparent;
+    2. in an image of labels (a palette, or few values with areas of their own), 1 at the one label,
+       or at the ``choice``;
+    3. its brightness (of a colour the largest channel).
+
+    Integers are divided by the largest value of their type. An array is [H, W], or one of several
+    [N, H, W] in a .npy, .npz or .pt file; values below 0 are logits. A JSON file holds run lengths
+    or polygons of COCO. ``upright`` is as in `read_image`.
+
+    Raises InputError if the file is not a readable mask, has over 100 megapixels, has values
+    outside [0, 1], or holds several masks and none is chosen.
+    """
+    path = Path(path)
+    data = read_bytes(path, "a mask image", FILE_LIMIT)
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        return _of_array({"": read_array(data, path)}, path, choice)
+    if suffix in (".npz", ".pt"):
+        return _of_array(arrays_of(data, path), path, choice)
+    if suffix == ".json":
+        return _of_coco(data, path, choice)
+    _refuse_index(path, choice)
+    convert = functools.partial(_values, label=choice.label)
+    return to_unit(decoded(data, path, "a mask image", convert, upright), path)
+
+
+def _refuse_index(path: Path, choice: MaskChoice) -> None:
+    if choice.index is not None:
+        raise InputError(
+            f"{path}: is one mask, `mask_index` {choice.index} chooses one of an array of masks"
+        )
+
+
+def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
+    """The values of `read_mask` [H, W]: bool, uint8, uint16 or float."""
+    from PIL import ImageChops
+
+    transparency = "transparency" in image.info and image.mode in ("P", "L", "RGB")
+    if transparency or image.mode in WITH_ALPHA:
+        with_channel = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
+        alpha = np.asarray(with_channel.getchannel("A"))
+        # The alpha channel is no mask if an editor left a few pixels of it transparent, or if it is
+        # slightly transparent everywhere.
+        if label is None and np.count_nonzero(alpha < 128) >= 1e-3 * alpha.size:
+            return alpha
+    lossy = image.format in LOSSY
+    if image.mode == "P":
+        index = np.asarray(image)
+        if _is_grey(image):
+            grey = np.asarray(image.convert("L"))
+            return _chosen(grey, grey, path, label, lossy)
+        return _chosen(index, index != 0, path, label, lossy)
+    if image.mode in ("1", "L", "F", "I") or image.mode.startswith("I;16"):
+        grey = grey_values(image, path)
+        return grey if grey.dtype.kind in "bf" else _chosen(grey, grey, path, label, lossy)
+    bands = image.convert("RGB").split()
+    brightness = np.asarray(functools.reduce(ImageChops.lighter, bands))
+    red, green, blue = (np.asarray(band) for band in bands)
+    if np.array_equal(red, green) and np.array_equal(green, blue):
+        return _chosen(red, red, path, label, lossy)
+    if lossy and label is None:
+        return brightness
+    codes = red.astype(np.uint32) << 16 | green.astype(np.uint32) << 8 | blue
+    return _chosen(codes, brightness, path, label, lossy, colours=True)
+
+
+def _is_grey(image: Image.Image) -> bool:
+    """Whether the used colours of a palette are grey, and not all the same."""
+    used = np.flatnonzero(image.histogram())
+    whole_palette = image.resize((256, 1))
+    whole_palette.putdata(range(256))
+    colours = np.asarray(whole_palette.convert("RGB"))[0, used]
+    grey = bool((colours == colours[:, :1]).all())
+    # A palette with one colour for different indices says nothing: then the indices are labels.
+    return grey and (used.size == 1 or colours.min() != colours.max())
+
+
+def _chosen(
+    codes: NDArray[Any], otherwise: NDArray[Any], path: Path, label: str | None, lossy: bool,
+    colours: bool = False,
+) -> NDArray[Any]:  # fmt: skip
+    """The pixels of one label of ``codes`` [H, W]; ``otherwise`` if there are no labels.
+
+    Raises InputError if there are several and none is chosen, or the chosen one is not there.
+    """
+    found = labels_of(codes, lossy)
+    if label is not None:
+        code = _code(label, colours)
+        if code not in found:
+            raise _which(path, found, colours, f"has no label {plain(label)}")
+        return codes == code
+    if len(found) > 1:
+        raise _which(path, found, colours, "holds several labels")
+    if len(found) == 1:
+        (code,) = found
+        pixels: NDArray[Any] = codes == code
+        # A bright label is a mask as it is, with its soft edges; `to_unit` knows 0 and 1.
+        plain_labels = code == 1 and codes is otherwise
+        if not plain_labels and not _is_bright(otherwise[pixels]):
+            return pixels
+    return otherwise
+
+
+def _is_bright(values: NDArray[Any]) -> bool:
+    if values.dtype == bool:
+        return True
+    return bool((values > np.iinfo(values.dtype).max // 2).all())
+
+
+def _code(label: str, colours: bool) -> int:
+    try:
+        numbers = [int(part) for part in label.split(",")]
+        if len(numbers) != (3 if colours else 1) or min(numbers) < 0 or max(numbers) > 65535:
+            raise ValueError
+    except ValueError:
+        expected = "a colour R,G,B" if colours else "a whole number"
+        raise InputError(f"`label` is {plain(label)}, expected {expected}") from None
+    return numbers[0] if not colours else numbers[0] << 16 | numbers[1] << 8 | numbers[2]
+
+
+def _which(path: Path, found: dict[int, int], colours: bool, what: str) -> InputError:
+    names = []
+    for code, pixels in sorted(found.items(), key=lambda item: -item[1])[:MOST_LISTED]:
+        name = f"{code >> 16},{code >> 8 & 255},{code & 255}" if colours else str(code)
+        names.append(f"{name} ({pixels:,} px)")
+    more = ", ..." if len(found) > MOST_LISTED else ""
+    return InputError(
+        f"{path}: {what}, expected one of {', '.join(names) or 'none'}{more}: `label` N"
+    )
+
+
+def labels_of(codes: NDArray[Any], lossy: bool = False) -> dict[int, int]:
+    """The labels in ``codes`` [H, W] and their pixels, without the background.
+
+    A label is a value with areas of its own (`SOLID`). The background is 0; without any 0, it is
+    the value that most pixels along the border have. A mask has one label, and other values only
+    along its soft edge.
+    """
+    if codes.dtype == bool or codes.size < 9:
+        return {}
+    if codes.dtype == np.uint8:
+        counts = np.bincount(codes.ravel(), minlength=256)
+        values = np.flatnonzero(counts)
+        sizes = counts[values]
+    else:
+        values, sizes = np.unique(codes, return_counts=True)
+    if len(values) > MOST_VALUES:
+        return {}
+    if lossy:
+        values = values[(values > LOSSES) & (values < 255 - LOSSES)]
+        sizes = np.array([np.count_nonzero(codes == value) for value in values])
+    middle = codes[1:-1, 1:-1]
+    same = (middle == codes[:-2, 1:-1]) & (middle == codes[2:, 1:-1])
+    same &= (middle == codes[1:-1, :-2]) & (middle == codes[1:-1, 2:])
+    solid = {int(v): int(n) for v, n in zip(values, sizes, strict=True)
+             if np.count_nonzero(same & (middle == v)) >= SOLID * n}  # fmt: skip
+    border = np.concatenate([codes[0], codes[-1], codes[:, 0], codes[:, -1]])
+    background = 0
+    if 0 not in values:
+        edge, many = np.unique(border, return_counts=True)
+        background = int(edge[many.argmax()])
+    solid.pop(background, None)
+    return solid
+
+
+def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
+    """A mask of a .npy, .npz or .pt file."""
+    fitting = {name: np.asarray(array) for name, array in arrays.items() if np.ndim(array) >= 2}
+    if len(fitting) != 1:
+        shapes = ", ".join(f"{plain(name)} {list(np.shape(a))}" for name, a in arrays.items())
+        raise InputError(f"{path}: holds {shapes or 'no array'}, expected one mask [H, W]")
+    (array,) = fitting.values()
+    shape = list(array.shape)
+    while array.ndim > 2 and array.shape[0] == 1:
+        array = array[0]
+    if array.ndim == 3 and array.shape[2] == 1:
+        array = array[..., 0]
+    # A last side of 3 or 4 is that of colours.
+    stack = array.ndim == 3 and array.shape[0] <= MOST_MASKS and array.shape[2] > 4
+    if stack and array.dtype.kind in "bfiu":
+        array = _one_of(array, path, choice)
+    else:
+        _refuse_index(path, choice)
+    if array.ndim != 2 or array.dtype.kind not in "bfiu" or 0 in array.shape:
+        raise InputError(f"{path}: holds {array.dtype} {shape}, expected a mask [H, W]")
+    check_size(array.shape[1], array.shape[0], path)
+    if array.dtype.kind == "f":
+        return to_unit(_of_floats(array, path), path)
+    if array.dtype.kind in "iu" and int(array.min()) >= 0:
+        # Of arrays, 255 is white whatever the type says.
+        codes = array.astype(np.uint8) if int(array.max()) <= 255 else array
+        chosen = _chosen(codes, codes, path, choice.label, False)
+        return to_unit(array if chosen is codes else chosen, path)
+    return to_unit(array, path)
+
+
+def _one_of(array: NDArray[Any], path: Path, choice: MaskChoice) -> NDArray[Any]:
+    """One mask of [N, H, W]; masks that are all the same are one."""
+    if choice.index is None:
+        if (array == array[:1]).all():
+            one: NDArray[Any] = array[0]
+            return one
+        sizes = [f"{i} ({np.count_nonzero(mask > 0):,} px)" for i, mask in enumerate(array)]
+        more = ", ..." if len(sizes) > MOST_LISTED else ""
+        raise InputError(
+            f"{path}: holds {len(array)} masks, expected one of "
+            f"{', '.join(sizes[:MOST_LISTED])}{more}: `mask_index` N"
+        )
+    if not 0 <= choice.index < len(array):
+        raise InputError(
+            f"{path}: has no mask {choice.index}, expected `mask_index` 0 to {len(array) - 1}"
+        )
+    chosen: NDArray[Any] = array[choice.index]
+    return chosen
+
+
+def _of_floats(array: NDArray[Any], path: Path) -> NDArray[Any]:
+    with np.errstate(invalid="ignore"):
+        low, high = float(array.min()), float(array.max())
+    if low < 0.0 < high and np.isfinite([low, high]).all():
+        warnings.warn(
+            f"{path}: its values span {low:.3g} to {high:.3g}, read as logits: inside is over 0",
+            stacklevel=4,
+        )
+        return array > 0.0
+    if low >= 0.0 and 1.0 < high <= 255.0 and (array == np.rint(array)).all():
+        return (array / 255.0).astype(np.float32)
+    return array
+
+
+def _of_coco(data: bytes, path: Path, choice: MaskChoice) -> Floats:
+    """A mask of COCO: run lengths or polygons, alone, in an annotation, or in a list of these."""
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: is not JSON ({reason(error)}), expected a mask") from None
+    size = None
+    if isinstance(document, dict) and isinstance(document.get("annotations"), list):
+        pictures = document.get("images")
+        if isinstance(pictures, list) and len(pictures) == 1 and isinstance(pictures[0], dict):
+            size = pictures[0].get("height"), pictures[0].get("width")
+        document = document["annotations"]
+    entries = document if isinstance(document, list) else [document]
+    if not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise InputError(
+            f"{path}: holds {kind(document)}, expected a segmentation of COCO: size and counts"
+        )
+    number = choice.index
+    if number is None:
+        if len(entries) > 1:
+            areas = [f"{i} ({entry.get('area', '?')} px)" for i, entry in enumerate(entries)]
+            more = ", ..." if len(areas) > MOST_LISTED else ""
+            raise InputError(
+                f"{path}: holds {len(entries)} segmentations, expected one of "
+                f"{', '.join(map(plain, areas[:MOST_LISTED]))}{more}: `mask_index` N"
+            )
+        number = 0
+    if not 0 <= number < len(entries):
+        raise InputError(
+            f"{path}: has no mask {number}, expected `mask_index` 0 to {len(entries) - 1}"
+        )
+    entry = entries[number]
+    segmentation = entry.get("segmentation", entry)
+    if isinstance(segmentation, list):
+        height, width = size or (entry.get("height"), entry.get("width"))
+        return _of_polygons(segmentation, height, width, path)
+    return _of_run_lengths(segmentation, path)
+
+
+def _sides(height: Any, width: Any, path: Path) -> tuple[int, int]:
+    for side in (height, width):
+        if not isinstance(side, int) or isinstance(side, bool) or side < 1:
+            raise InputError(
+                f"{path}: the size is {kind(height)} x {kind(width)}, expected height and width of "
+                "the picture"
+            )
+    check_size(width, height, path)
+    return height, width
+
+
+def _of_polygons(polygons: list[Any], height: Any, width: Any, path: Path) -> Floats:
+    from PIL import Image, ImageDraw
+
+    height, width = _sides(height, width, path)
+    image = Image.new("1", (width, height))
+    draw = ImageDraw.Draw(image)
+    for polygon in polygons:
+        try:
+            corners = np.asarray(polygon, dtype=np.float64).reshape(-1, 2)
+            if len(corners) < 3 or not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:
+                raise ValueError
+        except (ValueError, TypeError):
+            raise InputError(
+                f"{path}: a polygon is {kind(polygon)}, expected numbers x, y, x, y, ..."
+            ) from None
+        # COCO counts from the corner of a pixel.
+        draw.polygon([(x - 0.5, y - 0.5) for x, y in corners.tolist()], fill=1)
+    return np.asarray(image).astype(np.float32)
+
+
+def _of_run_lengths(segmentation: Any, path: Path) -> Floats:
+    """Runs of background and foreground in turn, down the columns."""
+    fits = isinstance(segmentation, dict) and {"size", "counts"} <= segmentation.keys()
+    if not fits or not isinstance(segmentation["size"], list) or len(segmentation["size"]) != 2:
+        raise InputError(
+            f"{path}: holds {kind(segmentation)}, expected a segmentation of COCO: size and counts"
+        )
+    height, width = _sides(segmentation["size"][0], segmentation["size"][1], path)
+    counts = segmentation["counts"]
+    if isinstance(counts, str):
+        return _compressed(counts, height, width, path)
+    whole = isinstance(counts, list) and all(type(n) is int and n >= 0 for n in counts)
+    if not whole or sum(counts) != height * width:
+        raise InputError(
+            f"{path}: its runs are {kind(counts)}, expected lengths that add up to "
+            f"{height * width:,}"
+        )
+    values: Bits = np.arange(len(counts)) % 2 == 1
+    return np.repeat(values, counts).reshape(width, height).T.astype(np.float32)
+
+
+def _compressed(counts: str, height: int, width: int, path: Path) -> Floats:
+    try:
+        from pycocotools import mask as coco
+    except ImportError:
+        raise InputError(
+            f"{path}: its run lengths are compressed, which needs pycocotools: pip install "
+            "pycocotools"
+        ) from None
+    try:
+        found = coco.decode({"size": [height, width], "counts": counts.encode("ascii")})
+    except Exception as error:
+        raise InputError(f"{path}: its run lengths are damaged ({reason(error)})") from None
+    return np.asarray(found, dtype=np.float32)
