@@ -120,3 +120,35 @@ def test_a_windows_path_in_a_camera_file_names_its_mask(masks, tmp_path):
     views, origins = load_views(ViewFiles(paths, tmp_path / "win.json"))
     assert [view.camera.t[2] for view in views] == [3.0, 2.0]
     assert all(origin.by_name for origin in origins)
+
+
+@pytest.mark.parametrize(("turn", "size"), [(6, (256, 192)), (3, (256, 256))])
+def test_a_turned_mask_with_a_camera_file_is_taken_as_it_is_stored(tmp_path, turn, size):
+    exif = Image.Exif()
+    exif[0x0112] = turn
+    array = np.zeros(size[::-1], np.uint8)
+    array[10:20, 30:60] = 255
+    Image.fromarray(array).save(tmp_path / "mask.png", exif=exif)
+    photo = np.zeros((*size[::-1], 3), np.uint8)
+    photo[0, 0] = 255
+    Image.fromarray(photo).save(tmp_path / "photo.png", exif=exif)
+    truth = json.loads((FILES / "cameras/own.json").read_text())
+    truth |= {"width": size[0], "height": size[1]}
+    (tmp_path / "camera.json").write_text(json.dumps(truth))
+    files = ViewFiles([tmp_path / "mask.png"], image=[tmp_path / "photo.png"])
+    (view,), (origin,) = load_views(files)
+    np.testing.assert_array_equal(view.mask > 0.5, array > 0)
+    assert view.image[0, 0, 0] == 1.0
+    assert origin.notes[0] == "mask.png is taken as it is stored, without its EXIF orientation"
+    # A camera of the upright picture, if the sizes tell, takes the upright mask.
+    if turn == 6:
+        (tmp_path / "camera.json").write_text(
+            json.dumps(truth | {"width": size[1], "height": size[0]})
+        )
+        (view,), (origin,) = load_views(files)
+        assert view.mask.shape == size
+        assert origin.notes[0] == "mask.png is turned upright by its EXIF orientation"
+    # Without a camera file a picture is seen upright.
+    (tmp_path / "camera.json").unlink()
+    (view,), (origin,) = load_views(files)
+    assert origin.notes[0] == "mask.png is turned upright by its EXIF orientation"

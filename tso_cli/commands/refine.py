@@ -127,9 +127,9 @@ def _formats() -> dict[str, str]:
 @click.option(
     "--camera",
     type=options.CameraPath(),
-    help="Camera file or folder of tso or another program, with a view for each mask. `fit` "
-    "estimates the camera of a single mask.  [default: MASKSTEM.camera.json, camera.json, "
-    "cameras.json or transforms.json next to the mask, else a canonical camera]",
+    help="Camera file or folder of tso or another program. `fit` estimates the camera of a single "
+    "mask.  [default: MASKSTEM.camera.json, camera.json, cameras.json or transforms.json next to "
+    "the mask, else a canonical camera]",
 )
 @click.option(
     "--camera-format",
@@ -198,7 +198,10 @@ def _formats() -> dict[str, str]:
     multiple=True,
     help="Photo of the mask, for a photometric loss on a cloud with colours.",
 )
-@options.output("Refined cloud, .ply.  [default: SOURCESTEM.refined.ply in the current folder]")
+@options.output(
+    "Refined cloud.  [default: SOURCESTEM.refined.ply, or .glb, .gltf or .obj as the input, in the "
+    "current folder]"
+)
 @options.overwrite
 @options.flag("--accept-doubtful", "Take the whole displacement even if the result is doubtful.")
 @options.flag(
@@ -236,12 +239,11 @@ def command(
     tso refine CLOUD --camera FILE
     tso refine --mode MODE IMAGE MASK [--checkpoint FILE]
 
-    The views of the camera file belong to the masks that they name, else to the masks in their
-    order. Without any MASK, all masks that the file names are used.
+    A mask gets the view whose picture has its name, else views and masks are taken in their order.
+    Without any MASK, all masks that the file names are used.
 
-    The output is the input file with other coordinates: order, precision, colours, faces and all
-    other attributes stay. A large cloud, or the surface of a mesh, moves by 1,024 control points;
-    all other points follow.
+    A .ply, .glb, .gltf or .obj file comes out with other coordinates; all other attributes stay. A
+    large cloud, or the surface of a mesh, moves by 1,024 control points; all other points follow.
     """
     if quiet and verbose:
         raise InputError("--quiet and --verbose, expected one of the two")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..diagnosis.hypotheses import INVERTED, Assumption, assumptions_of
 from ..errors import InputError
-from ..geometry.arrays import Floats
 from ..geometry.camera import Camera
 from ..geometry.distortion import Distortion, undistorted
 from ..geometry.view import View
@@ -27,8 +29,6 @@ from ..io.masks import MaskChoice, read_mask
 
 NO_FILE = "(no camera file was given or found next to the mask)"
 OWN_FORMAT = "tso"
-EXIF_TURNED = "the mask is turned upright by its EXIF orientation"
-EXIF_STORED = "the mask is taken as it is stored, its EXIF orientation is ignored"
 
 
 @dataclass(frozen=True)
@@ -121,19 +121,24 @@ def load_views(files: ViewFiles) -> tuple[list[View], list[CameraOrigin]]:
     sizes or numbers of files differ, or a mask is all object or all background.
     """
     ignore = files.one_each("ignore", "ignore maps", files.ignore)
-    partial, origins = _cameras(files)
+    partial_cameras, origins = _cameras(files)
     views, found = [], []
-    for mask, ignored, camera, origin in zip(files.masks, ignore, partial, origins, strict=True):
+    for mask, ignored, camera, origin in zip(
+        files.masks, ignore, partial_cameras, origins, strict=True
+    ):
         view, scaled = _read_view(mask, camera, origin, ignored, files.choice)
         views.append(view)
         found.append(replace(origin, notes=(*origin.notes, *scaled)))
-    views = with_depth_and_images(views, files)
-    for number, known in enumerate(partial):
+    stored = [camera is not None for camera in partial_cameras]
+    for number, (view, notes) in enumerate(with_depth_and_images(views, files, stored)):
+        views[number] = view
+        found[number] = replace(found[number], notes=(*found[number].notes, *notes))
+    for number, known in enumerate(partial_cameras):
         lens = known.distortion if known else None
         if lens and not lens.none:
             views[number] = _without_distortion(views[number], lens)
-            notes = (*found[number].notes, "lens distortion undone")
-            found[number] = replace(found[number], notes=notes)
+            undone = (*found[number].notes, "lens distortion undone")
+            found[number] = replace(found[number], notes=undone)
     return views, found
 
 
@@ -142,14 +147,14 @@ def view_without_camera(files: ViewFiles) -> View:
     (mask,) = files.masks
     (ignore,) = files.one_each("ignore", "ignore maps", files.ignore)
     view, _ = _read_view(mask, None, CameraOrigin(None), ignore, files.choice)
-    (view,) = with_depth_and_images([view], files)
+    ((view, _),) = with_depth_and_images([view], files, [False])
     if files.intrinsics is None:
         return view
     canonical = PartialCamera("", R=view.camera.R, t=view.camera.t)
-    partial = with_intrinsics(canonical, files.intrinsics, mask)
+    known = with_intrinsics(canonical, files.intrinsics, mask)
     height, width = view.mask.shape
-    view = replace(view, camera=partial.camera(files.intrinsics, width, height))
-    lens = partial.distortion
+    view = replace(view, camera=known.camera(files.intrinsics, width, height))
+    lens = known.distortion
     return view if lens is None or lens.none else _without_distortion(view, lens)
 
 
@@ -206,18 +211,24 @@ def _read_view(
     choice: MaskChoice,
 ) -> tuple[View, list[str]]:
     """A mask with its camera, and what was done to the camera's numbers and to the picture."""
-    mask = read_mask(mask_file, choice)
-    upright = True
-    turned = orientation(mask_file) > 1
-    if turned and camera is not None and not (camera.size and _only_upright(camera.size, mask)):
-        # A camera is of the picture as it is stored: programs that calibrate read it so.
-        mask, upright = read_mask(mask_file, choice, upright=False), False
+
+    def of_camera(size: tuple[int, int]) -> bool:
+        return camera is None or camera.size is None or same_shape(camera.size, size)
+
+    stored = camera is not None
+    mask, notes = _raster(mask_file, lambda up: read_mask(mask_file, choice, up), of_camera, stored)
     height, width = mask.shape
     known = None
     if ignore_file is not None:
-        known = read_mask(ignore_file, upright=upright) <= 0.5
+        ignored, more = _raster(
+            ignore_file,
+            lambda up: read_mask(ignore_file, upright=up),
+            lambda size: size == (width, height),
+            stored,
+        )
+        known = ignored <= 0.5
+        notes += more
         require_same_size(ignore_file, known.shape, mask_file, mask.shape)
-    notes = [EXIF_TURNED if upright else EXIF_STORED] if turned else []
     if camera is None or origin.file is None:
         full = Camera.canonical(width, height)
     else:
@@ -227,27 +238,54 @@ def _read_view(
     return View(mask, full, known, name=str(mask_file)), notes
 
 
-def _only_upright(size: tuple[int, int], mask: Floats) -> bool:
-    """Whether a picture of ``size`` has the proportions of the upright ``mask`` alone."""
-    height, width = mask.shape
-    return same_shape(size, (width, height)) and not same_shape(size, (height, width))
+def _raster(
+    file: Path,
+    read: Callable[[bool], NDArray[Any]],
+    fits: Callable[[tuple[int, int]], bool],
+    stored: bool,
+) -> tuple[NDArray[Any], list[str]]:
+    """A picture, upright or as it is stored, and what was done if it has an EXIF orientation.
+
+    The size decides where only one of the two ``fits``. Otherwise it is taken as ``stored`` if its
+    camera is from a file: programs that calibrate cameras read the stored picture.
+    """
+    if orientation(file) == 1:
+        return read(True), []
+    pictures = [(read(upright), upright) for upright in (not stored, stored)]
+    chosen, upright = next(
+        (one for one in pictures if fits((one[0].shape[1], one[0].shape[0]))), pictures[0]
+    )
+    done = "is turned upright by" if upright else "is taken as it is stored, without"
+    return chosen, [f"{file.name} {done} its EXIF orientation"]
 
 
-def with_depth_and_images(views: Sequence[View], files: ViewFiles) -> list[View]:
-    """The views with the depth maps and photos of the ``files``."""
+def with_depth_and_images(
+    views: Sequence[View], files: ViewFiles, stored: Sequence[bool]
+) -> list[tuple[View, list[str]]]:
+    """The views with the depth maps and photos of the ``files``; ``stored`` as in `_raster`."""
     depth_files = files.one_each("depth", "depth maps", files.depth)
     image_files = files.one_each("image", "images", files.image)
     completed = []
-    for view, depth_file, image_file in zip(views, depth_files, image_files, strict=True):
+    rows = zip(views, depth_files, image_files, stored, strict=True)
+    for view, depth_file, image_file, as_stored in rows:
+        notes: list[str] = []
+        shape = view.mask.shape
+
+        def of_mask(size: tuple[int, int], shape: tuple[int, ...] = shape) -> bool:
+            return size[::-1] == shape
+
         if depth_file is not None:
-            depth = read_depth(depth_file, files.depth_scale)
-            require_same_size(depth_file, depth.shape, view.name, view.mask.shape)
+            read = partial(read_depth, depth_file, files.depth_scale)
+            depth, more = _raster(depth_file, read, of_mask, as_stored)
+            require_same_size(depth_file, depth.shape, view.name, shape)
             view = replace(view, depth=depth)
+            notes += more
         if image_file is not None:
-            image = read_image(image_file)
-            require_same_size(image_file, image.shape, view.name, view.mask.shape)
+            image, more = _raster(image_file, partial(read_image, image_file), of_mask, as_stored)
+            require_same_size(image_file, image.shape, view.name, shape)
             view = replace(view, image=image[..., :3] / np.float32(255.0))
-        completed.append(view)
+            notes += more
+        completed.append((view, notes))
     return completed
 
 
