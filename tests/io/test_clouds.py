@@ -343,13 +343,13 @@ def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
     (tmp_path / "folder.ply").mkdir()
     os.mkfifo(tmp_path / "pipe.ply")
     save("file", b"x")
-    save("cloud.las", b"x")
+    save("cloud.xls", b"x")
     for name, message in {
         "none.ply": r"none\.ply: does not exist",
         "folder.ply": r"folder\.ply: is a folder",
         "": "is a folder",
         "file/a.ply": "does not exist",
-        "cloud.las": r"'\.las' .*expected \.ply, \.glb, .* \.npy, .* \.pcd",
+        "cloud.xls": r"'\.xls' .*expected \.ply, \.glb, .* \.npy, .* \.pcd",
         "a" * 3000 + ".ply": "cannot be read",
         "nul\0.ply": "cannot be read",
         "pipe.ply": "not a regular file",

@@ -31,6 +31,8 @@ class Cloud:
     colours : [V, 3] float32 in [0, 1], or None.
     predicted : whether a network predicted the cloud. All points of a prediction move by
         themselves, and none is an outlier.
+    faint : [V] bool, points that cannot be seen, such as splats of low opacity. They follow, and
+        nothing depends on them.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class Cloud:
         colours: Any = None,
         faces: Any = None,
         predicted: bool = False,
+        faint: Bits | None = None,
     ) -> None:
         # In rows: every loop would be compiled anew for columns.
         self.points: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
@@ -48,6 +51,9 @@ class Cloud:
         self.colours = (
             None if colours is None else _as_colours(as_numpy(colours), len(self.points), name)
         )
+        none = np.zeros(len(self.points), bool)
+        # A cloud of faint points alone is as good as one without.
+        self.faint: Bits = none if faint is None or faint.all() else faint
         self.surface: Surface | None = None
         self.not_a_mesh = ""
         if faces is not None:
@@ -58,7 +64,11 @@ class Cloud:
         """[V], points of a cloud far from all others. A mesh has none."""
         if self.predicted or self.surface:
             return np.zeros(len(self.points), bool)
-        return find_outliers(self.points)
+        if not self.faint.any():
+            return find_outliers(self.points)
+        outliers = np.zeros(len(self.points), bool)
+        outliers[~self.faint] = find_outliers(self.points[~self.faint])
+        return outliers
 
     def controlled(
         self, most: int | None = CONTROL_POINTS, views: Sequence[View] = ()
@@ -75,7 +85,8 @@ class Cloud:
         distant = self.points[outliers]
         if views and len(distant) and are_part_of_object(distant, len(self.points), views):
             outliers = np.zeros(len(self.points), bool)
-        subset = Subset(self.points, ~outliers, None if self.predicted else most)
+        most = None if self.predicted else most
+        subset = Subset(self.points, ~outliers & ~self.faint, most, self.faint)
         return ControlledCloud(self, outliers, subset)
 
 

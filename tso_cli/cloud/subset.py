@@ -22,10 +22,19 @@ class Subset:
     Attributes
     ----------
     control_points : [S, 3], in the unit of the cloud.
+
+    Parameters
+    ----------
+    inliers : [V], points that are measured and may be control points.
+    followers : [V], further points, which are not measured and follow the control points.
     """
 
-    def __init__(self, points: Array, inliers: Bits, most: int | None) -> None:
+    def __init__(
+        self, points: Array, inliers: Bits, most: int | None, followers: Bits | None = None
+    ) -> None:
         self._all_inliers, self._inliers = bool(inliers.all()), inliers
+        self._followers = None if followers is None or not followers.any() else followers
+        self._all_points = points
         self._points = self.measured(points)
         count = len(self._points) if most is None else min(most, len(self._points))
         self._chosen = (
@@ -54,15 +63,24 @@ class Subset:
         """
         of_points = np.empty_like(self._points)
         if self.partial:
-            count = min(INTERPOLATED_FROM, len(self.control_points))
-            for start in range(0, len(of_points), INTERPOLATED_AT_ONCE):
-                part = slice(start, start + INTERPOLATED_AT_ONCE)
-                points = self._points[part]
-                near = nearest_few(points, self.control_points, count)
-                squared = np.square(points[:, None] - self.control_points[near]).sum(2)
-                weights = falling_weights(np.sqrt(squared))
-                of_points[part] = (weights[..., None] * displacements[near]).sum(1)
+            of_points = self._interpolated(self._points, displacements)
         of_points[self._chosen] = displacements
         of_all = np.zeros((len(self._inliers), 3))
         of_all[self._inliers] = of_points
+        if self._followers is not None:
+            further = self._all_points[self._followers]
+            of_all[self._followers] = self._interpolated(further, displacements)
         return of_all
+
+    def _interpolated(self, points: Array, displacements: Array) -> Array:
+        """Displacements of ``points`` [M, 3]: means of the nearest control points'."""
+        found = np.empty_like(points)
+        count = min(INTERPOLATED_FROM, len(self.control_points))
+        for start in range(0, len(points), INTERPOLATED_AT_ONCE):
+            part = slice(start, start + INTERPOLATED_AT_ONCE)
+            some = points[part]
+            near = nearest_few(some, self.control_points, count)
+            squared = np.square(some[:, None] - self.control_points[near]).sum(2)
+            weights = falling_weights(np.sqrt(squared))
+            found[part] = (weights[..., None] * displacements[near]).sum(1)
+        return found

@@ -168,6 +168,8 @@ def _notes(
         found.append(Finding("not-a-mesh", values={"why": source.not_a_mesh}))
     if count := int(cloud.outliers.sum()):
         found.append(Finding("outliers", values={"count": count}))
+    if count := int(source.faint.sum()):
+        found.append(Finding("faint", values={"count": count}))
     for number, (view, placement) in enumerate(zip(views, placements, strict=True)):
         if input_as_given:
             found += [

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError, TsoError
-from ..geometry.arrays import Array, Indices
+from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import longest_side
 from .output import check_output, write_file
 from .ply import PlyFile, new_ply
@@ -25,6 +25,14 @@ MESHES = (".off", ".stl")
 ARRAYS = (".npy", ".npz", ".pt")
 TABLES = (".xyz", ".txt", ".csv", ".pts", ".pcd")
 SUFFIXES = (*MOVABLE, *MESHES, *ARRAYS, *TABLES)
+# Files that are known and not read: what to do.
+_SPLATS = "export the splats as an uncompressed .ply"
+ADVICE = {
+    **dict.fromkeys((".splat", ".spz", ".ksplat", ".sog"), _SPLATS),
+    **dict.fromkeys((".las", ".laz", ".e57"), "convert it to .ply, with CloudCompare or PDAL"),
+    **dict.fromkeys((".fbx", ".blend", ".usd", ".usdz", ".dae", ".3ds"), "export it as .glb"),
+    ".pcl": "convert it to .pcd or .ply", ".drc": "decode it to .ply: draco_decoder",
+}  # fmt: skip
 # Written without a file to move: points alone, or with faces where there are some.
 NEW = (".ply", ".npy", ".xyz")
 MOST_COLUMNS = 100  # of a table of points; more are an image
@@ -57,6 +65,9 @@ class MovableFile(Protocol):
     def read_faces(self) -> Indices | None:
         """Triangles [F, 3], or None."""
 
+    def read_faint(self) -> Bits | None:
+        """[N], points that cannot be seen, or None."""
+
     def require_movable(self) -> None:
         """Raise InputError if the file cannot be written with other points."""
 
@@ -85,6 +96,10 @@ class PointCloud:
             )
         return colours
 
+    def faint(self) -> Bits | None:
+        """[N], splats of an opacity under 5 %; None if the file has no splats."""
+        return self.source.read_faint() if self.source else None
+
     def faces(self) -> Indices | None:
         """Triangles [F, 3] of the points; None if the file has no faces.
 
@@ -109,9 +124,9 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
+        advice = ADVICE.get(suffix, f"expected {', '.join(SUFFIXES)}")
         raise InputError(
-            f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, "
-            f"expected {', '.join(SUFFIXES)}"
+            f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
         )
     data = read_bytes(path, "a point cloud")
     try:

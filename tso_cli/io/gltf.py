@@ -261,6 +261,10 @@ class GltfFile(Checked):
         """glTF keeps colours in textures: no colours of vertices are read."""
         return
 
+    def read_faint(self) -> None:
+        """A mesh has no faint points."""
+        return
+
     @property
     def stale_after_moving(self) -> str:
         """What is wrong once the vertices have moved: normals and tangents are turned."""

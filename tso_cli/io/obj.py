@@ -171,6 +171,10 @@ class ObjFile:
             )
         return colours
 
+    def read_faint(self) -> None:
+        """A mesh has no faint points."""
+        return
+
     @property
     def stale_after_moving(self) -> str:
         """What is wrong once the vertices have moved: normals are turned."""

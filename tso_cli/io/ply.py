@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.arrays import Array, Indices
+from ..geometry.arrays import Array, Bits, Indices
 from .ply_body import BinaryBody, TextBody, layout
 from .ply_header import Element, parse_header
 from .reading import require_memory, shown
@@ -23,6 +23,12 @@ CORNERS = ("vertex_indices", "vertex_index")
 NORMALS = {"nx", "ny", "nz", "normal_x", "normal_y", "normal_z"}
 # What is wrong once the vertices have moved; rotations and scales belong to Gaussian splats.
 STALE_AFTER_MOVING = {"normals": NORMALS, "rotations": {"rot_0"}, "scales": {"scale_0"}}
+# Of Gaussian splats: opacity before the logistic function, and the constant part of the colour.
+OPACITY, CONSTANT_COLOUR = "opacity", ("f_dc_0", "f_dc_1", "f_dc_2")
+# A splat of lower opacity cannot be seen; trainers leave many of them around an object.
+LEAST_OPACITY = 0.05
+# The value of the spherical harmonic of degree 0.
+HARMONIC = 0.28209479177387814
 
 
 class PlyFile:
@@ -58,6 +64,11 @@ class PlyFile:
 
     def _vertex(self) -> Element:
         vertex = self.header.elements.get("vertex")
+        if vertex is not None and "packed_position" in vertex.properties:
+            raise InputError(
+                f"{self.path}: holds compressed splats (packed_position), expected x, y and z; "
+                "export them as an uncompressed .ply"
+            )
         if vertex is None:
             names = shown(", ".join(self.header.elements) or "none")
             raise InputError(
@@ -105,7 +116,7 @@ class PlyFile:
             if (p := self.vertex.properties.get(name)) and not p.length_kind
         ]
         if len(kinds) < 3:
-            return None
+            return self._splat_colours()
         full = [1.0 if kind[0] == "f" else float(np.iinfo(kind).max) for kind in kinds]
         colours = self._body.columns(self._places_of(self.vertex, COLOURS), kinds) / full
         if not (colours.min() >= 0.0 and colours.max() <= 1.0):
@@ -114,6 +125,29 @@ class PlyFile:
                 f"{self.path}: its colours span {span} of their type's range, expected 0 to 1"
             )
         return colours
+
+    def _splat_colours(self) -> Array | None:
+        values = self._floats(CONSTANT_COLOUR)
+        return None if values is None else np.clip(0.5 + HARMONIC * values, 0.0, 1.0)
+
+    def _floats(self, names: tuple[str, ...]) -> Array | None:
+        """The properties ``names`` [N, K] of the vertices, if all are floating-point numbers."""
+        found = [self.vertex.properties.get(name) for name in names]
+        kinds = [p.kind for p in found if p is not None and not p.length_kind and p.kind[0] == "f"]
+        if len(kinds) < len(names):
+            return None
+        return self._body.columns(self._places_of(self.vertex, names), kinds)
+
+    def read_faint(self) -> Bits | None:
+        """[N], splats of an opacity under 5 %; None if the file has no splats.
+
+        A file of splats has ``opacity`` and ``scale_0``.
+        """
+        opacity = self._floats((OPACITY,)) if "scale_0" in self.vertex.properties else None
+        if opacity is None:
+            return None
+        # The logistic function of the stored number.
+        return np.asarray(opacity[:, 0] < np.log(LEAST_OPACITY / (1.0 - LEAST_OPACITY)))
 
     def read_faces(self) -> Indices | None:
         """Triangles [F, 3], polygons as fans of triangles; None if the file has no faces.

@@ -76,7 +76,7 @@ def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = Fal
     if file.source is not None:
         file.source.require_movable()
     colours = file.colours() if files.image else None
-    cloud = Cloud(file.points, str(cloud_file), colours, file.faces())
+    cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), faint=file.faint())
     if fit:
         return _with_fitted_camera(cloud, file, files, assumptions)
     read, origins = load_views(files)
