@@ -30,6 +30,8 @@ SECTIONS = {
             "tso_cli.commands.evaluate",
             "Compare clouds with ground truth: Chamfer, F-score, EMD, IoU.",
         ),
+        "mask": ("tso_cli.commands.mask", "Show what a mask file shows, and write it as PNG."),
+        "convert": ("tso_cli.commands.convert", "Convert clouds, meshes and camera files."),
     },
     "Networks": {
         "render": (

@@ -231,6 +231,17 @@ seed = option(
     "--seed", "Seed of all random numbers.", type=Whole(0, 2**63 - 1), default=0, show_default=True
 )
 as_json = flag("--json", "Print one JSON document on stdout.", "as_json")
+label = option(
+    "--label",
+    "Label of the object in masks that show several; R,G,B in coloured ones.",
+    metavar="N",
+)
+mask_index = option(
+    "--mask-index",
+    "Place of the object's mask in an array or list of several masks.",
+    type=Whole(0),
+    metavar="N",
+)
 device = option(
     "--device",
     "cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",

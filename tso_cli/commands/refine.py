@@ -163,17 +163,8 @@ def _formats() -> dict[str, str]:
     "NAME@MASK for one mask of several. Warnings name the likely one; `--assume list` lists all.",
 )
 @options.flag("--invert-mask", "The object is dark in the mask.")
-@click.option(
-    "--label",
-    metavar="N",
-    help="Label of the object in masks that show several; R,G,B in coloured ones.",
-)
-@click.option(
-    "--mask-index",
-    type=options.Whole(0),
-    metavar="N",
-    help="Place of the object's mask in an array or list of several masks.",
-)
+@options.label
+@options.mask_index
 @click.option(
     "--ignore",
     type=PATH,

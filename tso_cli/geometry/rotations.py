@@ -33,6 +33,20 @@ def from_quaternion(w: float, x: float, y: float, z: float) -> Array:
     )
 
 
+def to_quaternion(R: Array) -> Array:
+    """The unit quaternion w, x, y, z of a rotation [3, 3], with w >= 0."""
+    w = np.array([
+        [R[0, 0] - R[1, 1] - R[2, 2], 0.0, 0.0, 0.0],
+        [R[0, 1] + R[1, 0], R[1, 1] - R[0, 0] - R[2, 2], 0.0, 0.0],
+        [R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], R[2, 2] - R[0, 0] - R[1, 1], 0.0],
+        [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R.trace()],
+    ])  # fmt: skip
+    # The eigenvector of the largest eigenvalue (Bar-Itzhack) bears rounding of R well.
+    x, y, z, w0 = np.linalg.eigh(w / 3.0)[1][:, -1]
+    quaternion = np.array([w0, x, y, z])
+    return quaternion if w0 >= 0.0 else -quaternion
+
+
 def cross_product_matrix(vectors: Array) -> Array:
     """The matrices [..., 3, 3] whose product with a vector w is ``vectors`` x w."""
     x, y, z = np.moveaxis(vectors, -1, 0)

@@ -1,0 +1,110 @@
+"""`tso convert` and `tso mask`."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.readme import ROOT
+from tso_cli.geometry.distortion import Distortion
+from tso_cli.geometry.rotations import from_quaternion, from_vectors, to_quaternion
+from tso_cli.io.cameras import read_partial_cameras
+from tso_cli.io.clouds import read_cloud
+from tso_cli.io.images import read_image
+
+FILES = ROOT / "tests/io/files"
+CHAIR = next((ROOT / "examples/meshes/chair").glob("*.ply"))
+
+
+def cameras_of(path, size=(256, 256)):
+    views, _ = read_partial_cameras(Path(path))
+    return [view.camera(Path(path), *(view.size or size)) for view in views]
+
+
+def assert_same_cameras(found, expected):
+    for one, other in zip(found, expected, strict=True):
+        for name in ("K", "R", "t"):
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
+
+
+@pytest.mark.parametrize("format", ["tso", "colmap", "transforms"])
+@pytest.mark.parametrize("source", ["colmap", "nerfstudio", "bop", "cameras/open3d.json"])
+def test_cameras_of_any_program_become_those_of_another(tso, tmp_path, source, format):
+    target = tmp_path / ("model" if format == "colmap" else "cameras.json")
+    size = ("--size", "256x256") if source == "bop" else ()
+    run = tso("convert", FILES / source, target, "--camera-format", format, *size)
+    assert run.code == 0, run.err
+    assert_same_cameras(cameras_of(target), cameras_of(FILES / source))
+    names = [view.label for view in read_partial_cameras(FILES / source)[0]]
+    if source == "colmap":
+        assert [view.label for view in read_partial_cameras(target)[0]] == names
+    again = tso("convert", FILES / source, target, "--camera-format", format, *size)
+    assert again.code == 2
+    assert "--overwrite" in again.err
+
+
+def test_the_distortion_of_a_lens_is_converted_or_refused(tso, tmp_path):
+    (tmp_path / "cameras.txt").write_text("1 OPENCV 640 480 600 610 320 240 0.1 -0.02 1e-3 2e-3\n")
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 2 1 a.png\n\n")
+    for format, name in (("transforms", "t.json"), ("colmap", "model")):
+        assert tso("convert", tmp_path, tmp_path / name, "--camera-format", format).code == 0
+        (view,), _ = read_partial_cameras(tmp_path / name)
+        lens = view.distortion
+        assert lens.model == "radial-tangential"
+        assert lens.coefficients[:4] == (0.1, -0.02, 1e-3, 2e-3)
+        assert not any(lens.coefficients[4:])
+    refusal = tso("convert", tmp_path, tmp_path / "own.json").refusal
+    assert "has lens distortion" in refusal
+    assert "--camera-format colmap" in refusal
+    assert Distortion("radial-tangential", (0.0, 0.0)).none
+
+
+def test_cameras_without_a_size_ask_for_it(tso, tmp_path):
+    refusal = tso("convert", FILES / "cameras/krt.npz", tmp_path / "c.json").refusal
+    assert "expected --size WIDTHxHEIGHT" in refusal
+    run = tso("convert", FILES / "cameras/krt.npz", tmp_path / "c.json", "--size", "256x256")
+    assert run.out.endswith("1 camera of " + str(FILES / "cameras/krt.npz")
+                            + " (K, R, t, P or 4x4 matrices)\n")  # fmt: skip
+    assert "expected WIDTHxHEIGHT" in tso("convert", "a", "c.json", "--size", "256").err
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".npy", ".xyz", ".glb", ".obj", ".off", ".stl"])
+def test_a_mesh_is_converted_by_the_suffix_of_the_target(tso, tmp_path, suffix):
+    target = tmp_path / f"chair{suffix}"
+    assert tso("convert", CHAIR, target).code == 0
+    before, after = read_cloud(CHAIR).points, read_cloud(target, extended=False).points
+    np.testing.assert_allclose(after.max(0), before.max(0), atol=1e-5)
+    np.testing.assert_allclose(after.min(0), before.min(0), atol=1e-5)
+
+
+def test_what_cannot_be_converted_is_refused(tso, tmp_path, folder):
+    assert "has no faces" in tso("convert", "initial.ply", tmp_path / "a.glb").refusal
+    assert "or .json for cameras" in tso("convert", "initial.ply", tmp_path / "a.las").refusal
+    assert (
+        "is for cameras"
+        in tso("convert", "initial.ply", tmp_path / "a.npy", "--size", "1x1").refusal
+    )
+
+
+def test_a_quaternion_is_that_of_its_rotation():
+    for vector in np.random.default_rng(0).normal(size=(20, 3)) * 2.0:
+        R = from_vectors(vector)
+        np.testing.assert_allclose(from_quaternion(*to_quaternion(R)), R, atol=1e-12)
+
+
+def test_mask_shows_what_would_be_used_and_writes_it(tso, tmp_path, folder):
+    run = tso("mask", "mask.png", "-o", tmp_path / "used.png", "--json")
+    document = run.document
+    assert (document["width"], document["height"]) == (256, 256)
+    with Image.open("mask.png") as image:
+        expected = np.asarray(image.convert("L"))
+    np.testing.assert_array_equal(read_image(tmp_path / "used.png")[..., 0], expected)
+    assert document["foreground"] == np.count_nonzero(expected > 127)
+    text = tso("mask", FILES / "masks/palette.png", "--label", "2").out
+    assert "256x256, 9,649 px inside (14.7%)" in text
+    assert "columns" in text
+    assert "holds several labels" in tso("mask", FILES / "masks/palette.png").refusal
+    assert json.loads(tso("mask", "mask.png", "--invert-mask", "--json").out)["foreground"] > 32768
+    assert "is the input" in tso("mask", "mask.png", "-o", "mask.png", "--overwrite").refusal

@@ -1,0 +1,150 @@
+"""`tso convert`: clouds, meshes and cameras from one format to another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from ..errors import InputError
+from ..io.cameras import CameraRecord, camera_text, read_partial_cameras, words_of
+from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
+from ..io.clouds import NEW, read_cloud, write_cloud
+from ..io.output import check_output, write_file
+from . import options
+from .options import PATH
+
+if TYPE_CHECKING:
+    from ..geometry.camera import Camera
+    from ..io.cameras import PartialCamera
+
+FORMATS = ("tso", "colmap", "transforms")
+MESHES = (".glb", ".obj", ".off", ".stl")
+
+
+class Size(click.ParamType):
+    """WIDTHxHEIGHT."""
+
+    name = "WIDTHxHEIGHT"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        sides = str(value).split("x")
+        if len(sides) != 2 or not all(side.isdecimal() and int(side) > 0 for side in sides):
+            self.fail(f"{value!r}, expected WIDTHxHEIGHT in pixels, such as 640x480.", param, ctx)
+        return int(sides[0]), int(sides[1])
+
+
+@click.command("convert")
+@click.argument("source", metavar="A", type=PATH)
+@click.argument("target", metavar="B", type=PATH)
+@options.option(
+    "--camera-format",
+    "Convert cameras, to this format: tso's own, a COLMAP model (a folder of text files), or a "
+    "transforms.json.",
+    type=click.Choice(FORMATS),
+)
+@options.option("--size", "Size of the pictures, if A does not say it.", type=Size())
+@options.option("--object", "Object of a BOP scene that has several.", "object_id",
+                type=options.Whole(0), metavar="ID")  # fmt: skip
+@options.overwrite
+def command(
+    source: Path,
+    target: Path,
+    camera_format: str | None,
+    size: tuple[int, int] | None,
+    object_id: int | None,
+    overwrite: bool,
+) -> None:
+    """Convert the cloud, mesh or cameras of A to B.
+
+    \b
+    tso convert scan.pcd scan.ply
+    tso convert model.obj model.glb
+    tso convert sparse/0 cameras.json
+    tso convert cameras.json model --camera-format colmap
+
+    Cameras are converted if B is a .json file, or with --camera-format. Otherwise the suffix of B
+    says how the cloud or mesh is written: .ply, .npy, .xyz, or a mesh as .glb, .obj, .off or .stl.
+    """
+    if camera_format is not None or target.suffix.lower() == ".json":
+        _convert_cameras(source, target, camera_format or "tso", size, object_id, overwrite)
+        return
+    for name, value in (("--size", size), ("--object", object_id)):
+        if value is not None:
+            raise InputError(f"{name} is for cameras, found {target} as a cloud or mesh to write")
+    _convert_cloud(source, target, overwrite)
+
+
+def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
+    suffix = target.suffix.lower()
+    if suffix not in (*NEW, *MESHES):
+        raise InputError(
+            f"{target}: the suffix is {target.suffix!r}, expected {', '.join((*NEW, *MESHES))}, or "
+            ".json for cameras"
+        )
+    check_output(target, overwrite)
+    cloud = read_cloud(source, extended=False)
+    faces = cloud.faces()
+    if suffix in MESHES:
+        if faces is None:
+            raise InputError(f"{source}: has no faces, expected a mesh for {suffix}")
+        import trimesh
+
+        mesh = trimesh.Trimesh(cloud.points, faces, process=False)
+        data = mesh.export(file_type=suffix[1:])
+        write_file(target, data.encode() if isinstance(data, str) else bytes(data), overwrite)
+    else:
+        write_cloud(target, cloud.points, like=cloud, overwrite=overwrite)
+    surface = f", {len(faces):,} triangles" if faces is not None else ""
+    click.echo(f"{target}: {len(cloud.points):,} points{surface}")
+
+
+def _convert_cameras(
+    source: Path,
+    target: Path,
+    camera_format: str,
+    size: tuple[int, int] | None,
+    object_id: int | None,
+    overwrite: bool,
+) -> None:
+    views, found = read_partial_cameras(source, object_id=object_id)
+    cameras = [_complete(view, source, size) for view in views]
+    names = [view.label or f"{number}.png" for number, view in enumerate(views)]
+    lenses = [view.distortion for view in views]
+    named = list(zip(names, cameras, lenses, strict=True))
+    if camera_format == "colmap":
+        folder = folder_of(target, overwrite)
+        texts = colmap_texts(named)
+        folder.mkdir(exist_ok=True)
+        for name, text in texts.items():
+            write_file(folder / name, text.encode(), overwrite=True)
+    elif camera_format == "transforms":
+        check_output(target, overwrite)
+        write_file(target, transforms_text(named).encode(), overwrite)
+    else:
+        check_output(target, overwrite)
+        if any(lens and not lens.none for lens in lenses):
+            raise InputError(
+                f"{source}: has lens distortion, which tso's own format has no place for; use "
+                f"{source} itself, or --camera-format colmap"
+            )
+        records = [
+            CameraRecord(camera, view.mask, view.image)
+            for camera, view in zip(cameras, views, strict=True)
+        ]
+        write_file(target, camera_text(target, records).encode(), overwrite)
+    count = f"{len(views)} camera{'s' if len(views) > 1 else ''}"
+    click.echo(f"{target}: {count} of {source} ({words_of(found)})")
+
+
+def _complete(view: PartialCamera, source: Path, size: tuple[int, int] | None) -> Camera:
+    sides = size or view.size
+    if sides is None:
+        raise InputError(
+            f"{source}: {view.title or 'it'} does not say the size of its picture, expected --size "
+            "WIDTHxHEIGHT"
+        )
+    return view.camera(source, *sides)

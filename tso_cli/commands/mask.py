@@ -1,0 +1,69 @@
+"""`tso mask`: what a mask file shows, as tso reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.view import object_box
+from ..io.images import write_image
+from ..io.masks import MaskChoice, read_mask
+from ..version import __version__
+from . import options
+from .options import PATH
+
+
+@click.command("mask")
+@click.argument("file", type=PATH)
+@options.output("Picture of the mask to write, .png.")
+@options.overwrite
+@options.label
+@options.mask_index
+@options.flag("--invert-mask", "The object is dark in the mask.", "invert")
+@options.as_json
+def command(
+    file: Path,
+    output: Path | None,
+    overwrite: bool,
+    label: str | None,
+    mask_index: int | None,
+    invert: bool,
+    as_json: bool,
+) -> None:
+    """Show what would be used of the mask in FILE: its size, its foreground, and its box.
+
+    FILE is a picture, an image of labels, an array (.npy, .npz, .pt) or a segmentation of COCO
+    (.json). With -o the mask is written as a grey picture.
+    """
+    if output is not None:
+        options.require_output(output, ".png", overwrite)
+        if output.resolve() == file.resolve():
+            raise InputError(f"{output}: is the input, expected another name")
+    with options.Warnings(False):
+        mask = read_mask(file, MaskChoice(label, mask_index))
+    if invert:
+        mask = np.float32(1.0) - mask
+    inside = mask > 0.5
+    height, width = mask.shape
+    pixels = int(np.count_nonzero(inside))
+    soft = int(np.count_nonzero((mask > 0.0) & (mask < 1.0)))
+    box = object_box(inside) if pixels else None
+    if output is not None:
+        write_image(output, np.rint(mask * 255.0).astype(np.uint8), overwrite)
+    if as_json:
+        options.echo_json({
+            "file": file, "width": width, "height": height, "foreground": pixels, "soft": soft,
+            "box": box, "output": output, "version": __version__,
+        })  # fmt: skip
+        return
+    click.echo(f"{file}: {width}x{height}, {pixels:,} px inside ({pixels / mask.size:.1%})")
+    if box:
+        left, top, right, bottom = box
+        click.echo(f"  object    columns {left} to {right - 1}, rows {top} to {bottom - 1}")
+    if soft:
+        click.echo(f"  soft      {soft:,} px between 0 and 1")
+    if output is not None:
+        click.echo(f"{output}: picture")
