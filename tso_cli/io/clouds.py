@@ -324,7 +324,8 @@ def _check(points: Array, path: Path, extended: bool) -> None:
         index = int(finite.argmin())
         raise InputError(
             f"{path}: {count - int(finite.sum())} of {count} points have a coordinate that is not "
-            f"finite, the first is point {index} {points[index].tolist()}, expected numbers"
+            f"finite, the first is point {index} {points[index].tolist()}, expected numbers; leave "
+            "these points out"
         )
     largest = np.abs(points).max()
     if largest > _LARGEST:

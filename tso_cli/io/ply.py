@@ -5,6 +5,7 @@ Every byte that is not a coordinate stays as it is.
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -72,14 +73,15 @@ class PlyFile:
         if vertex is None:
             names = shown(", ".join(self.header.elements) or "none")
             raise InputError(
-                f"{self.path}: has no vertex element (elements: {names}), expected one"
+                f"{self.path}: has no vertex element (elements: {names}), expected one; "
+                "rename the element of the points to vertex"
             )
         for axis in AXES:
             if axis not in vertex.properties:
                 names = shown(", ".join(vertex.properties) or "none")
                 raise InputError(
                     f"{self.path}: its vertices have no {axis} (properties: {names}), "
-                    "expected x, y and z"
+                    "expected x, y and z, in small letters"
                 )
             if vertex.properties[axis].length_kind:
                 raise InputError(
@@ -154,6 +156,13 @@ class PlyFile:
 
         Raises InputError if a face names a vertex that does not exist.
         """
+        strips = self.header.elements.get("tristrips")
+        if strips is not None and strips.count:
+            warnings.warn(
+                f"{self.path}: its triangle strips are not read, so its vertices are taken for a "
+                "cloud; export triangles to refine its surface",
+                stacklevel=4,
+            )
         element = self.header.elements.get("face")
         lists = (
             [p for p in element.properties.values() if p.name in CORNERS and p.length_kind]

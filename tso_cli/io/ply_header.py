@@ -115,5 +115,5 @@ def _property(words: list[str], match: re.Match[bytes], line: str) -> Property:
         return Property(words[2], KINDS[words[1]], None, (start, start + len(words[1])))
     raise InputError(
         f"{line}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME' "
-        "with types of PLY 1.0"
+        "with types of PLY 1.0 (char to int, float, double); convert the file"
     )

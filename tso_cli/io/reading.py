@@ -204,6 +204,6 @@ class TextTable:
                 line = self.numbers[np.searchsorted(self.first, words.flat[k], side="right") - 1]
                 text = shown(word.decode("ascii", "backslashreplace"))
                 raise InputError(
-                    f"{self.path}: line {line} has {text}, expected a number"
+                    f"{self.path}: line {line} has {text}, expected a number such as 0.5 or 1e-3"
                 ) from None
         return values.reshape(words.shape)
