@@ -71,3 +71,17 @@ def test_a_picture_with_channels_and_labels_keeps_its_type():
     assert same.dtype == labels.dtype
     photo = np.zeros((120, 160, 3))
     assert undistorted(photo, K, LENSES[0])[0].shape == photo.shape
+
+
+def test_a_lens_shows_nothing_a_second_time_where_its_polynomial_turns_back():
+    K = np.array([[600.0, 0.0, 959.5], [0.0, 600.0, 539.5], [0.0, 0.0, 1.0]])
+    lens = Distortion("radial-tangential", (-0.3,))
+    picture = np.zeros((1080, 1920))
+    picture[440:640, 860:1060] = 1.0
+    straight, seen = undistorted(picture, K, lens)
+    assert not (straight[~seen] > 0.5).all()
+    rows, columns = np.nonzero((straight > 0.5) & seen)
+    assert rows.min() > 400
+    assert columns.max() < 1100
+    assert lens.reach() == pytest.approx(np.sqrt(1.0 / 0.9), abs=3e-3)
+    assert Distortion("radial-tangential", (0.3,)).reach() == np.inf

@@ -332,3 +332,54 @@ def test_a_reader_of_another_package_is_found_by_its_entry_point(tmp_path, monke
     views, name = read_partial_cameras(tmp_path / "c.numbers")
     assert name == "numbers"
     assert views[0].camera(tmp_path, 256, 256).t[2] == 2.0
+
+
+def test_a_fisheye_of_opencv_is_said_by_its_own_key(tmp_path):
+    (tmp_path / "c.yml").write_text(
+        "%YAML:1.0\n---\nfisheye_model: 1\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n"
+        "   dt: d\n   data: [ 480., 0., 127.5, 0., 480., 127.5, 0., 0., 1. ]\n"
+        "distortion_coefficients: !!opencv-matrix\n   rows: 4\n   cols: 1\n   dt: d\n"
+        "   data: [ 0.1, 0.2, 0.3, 0.4 ]\n"
+    )
+    (view,), _ = read_partial_cameras(tmp_path / "c.yml")
+    assert view.distortion == Distortion("equidistant", (0.1, 0.2, 0.3, 0.4))
+
+
+def test_distortion_that_would_be_dropped_is_refused(tmp_path):
+    np.savez(tmp_path / "c.npz", K=TRUTH["K"], R=TRUTH["R"], t=TRUTH["t"], dist=[0.1, 0, 0, 0, 0])
+    (tmp_path / "c.json").write_text(json.dumps(TRUTH | {"k1": 0.1}))
+    for name in ("c.npz", "c.json"):
+        assert_refused(
+            "is lens distortion, which this format", read_partial_cameras, tmp_path / name
+        )
+    np.savez(tmp_path / "c.npz", K=TRUTH["K"], R=TRUTH["R"], t=TRUTH["t"], dist=[0.0, 0, 0, 0, 0])
+    assert len(read_partial_cameras(tmp_path / "c.npz")[0]) == 1
+
+
+def test_two_poses_of_one_view_are_refused(tmp_path):
+    (tmp_path / "c.json").write_text(json.dumps(TRUTH | {"w2c": np.eye(4).tolist()}))
+    assert_refused("has several poses, expected one", read_partial_cameras, tmp_path / "c.json")
+
+
+def test_images_of_colmap_without_their_lines_of_points_are_refused(tmp_path):
+    for name in ("cameras.txt", "images.txt"):
+        lines = (FILES / "colmap_text" / name).read_text().splitlines()
+        kept = [line for line in lines if not line.startswith("10 10")]
+        (tmp_path / name).write_text("\n".join(kept) + "\n")
+    assert_refused("the line after image 1 is", read_partial_cameras, tmp_path)
+
+
+def test_a_key_that_appears_twice_among_many_is_found_at_once(tmp_path):
+    keys = ", ".join(f'"k{i}x": 0' for i in range(50_000))
+    (tmp_path / "c.json").write_text(f'{{{keys}, "k7x": 0}}')
+    assert_refused("'k7x' appears twice", read_partial_cameras, tmp_path / "c.json")
+
+
+def test_tensors_that_would_fill_the_memory_or_are_no_numbers_are_refused(tmp_path):
+    import torch
+
+    torch.save({"R": torch.zeros(1).expand(10**12)}, tmp_path / "huge.pt")
+    torch.save({"R": torch.eye(3).to_sparse(), "T": torch.zeros(3)}, tmp_path / "sparse.pt")
+    torch.save({"R": [[1.0], [1.0, 2.0]], "T": torch.zeros(3)}, tmp_path / "ragged.pt")
+    for name in ("huge.pt", "sparse.pt", "ragged.pt"):
+        assert_refused(name, read_partial_cameras, tmp_path / name)

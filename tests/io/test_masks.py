@@ -10,7 +10,7 @@ from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.io.images import orientation
-from tso_cli.io.masks import MaskChoice, labels_of, read_mask
+from tso_cli.io.masks import MaskChoice, labels_of, masks_in, read_mask
 
 FILES = Path(__file__).with_name("files") / "masks"
 ONE = np.zeros((40, 60), bool)
@@ -163,3 +163,68 @@ def test_damaged_masks_are_read_or_refused_in_one_line(tmp_path, name):
         path.write_bytes((FILES / name).read_bytes())
     _, refused = assert_reads_or_refuses(lambda file: read_mask(file, MaskChoice()), path, 60)
     assert refused > 5
+
+
+def test_a_folder_stands_for_its_masks_in_the_order_of_their_names(tmp_path):
+    for name in ("b.png", "a.png"):
+        saved(tmp_path / name, (ONE * 255).astype(np.uint8))
+    (tmp_path / "notes.txt").write_text("no mask")
+    assert [path.name for path in masks_in(tmp_path)] == ["a.png", "b.png"]
+    assert masks_in(tmp_path / "a.png") == [tmp_path / "a.png"]
+    (tmp_path / "empty").mkdir()
+    assert_refused("holds no mask", masks_in, tmp_path / "empty")
+
+
+def test_the_object_of_a_photo_on_a_plain_background_is_what_differs(tmp_path):
+    rng = np.random.default_rng(0)
+    photo = np.full((80, 120, 3), 235, np.uint8)
+    photo[20:60, 30:90] = rng.integers(60, 180, (40, 60, 3))
+    with pytest.warns(UserWarning, match=r"plain background \(235,235,235\), the mask is what"):
+        mask = read_mask(saved(tmp_path / "photo.png", photo))
+    expected = np.zeros((80, 120), bool)
+    expected[20:60, 30:90] = True
+    np.testing.assert_array_equal(mask > 0.5, expected)
+    assert_refused(
+        "is a photo, grey over large parts, expected a mask; segment the object first",
+        read_mask,
+        saved(tmp_path / "other.png", rng.integers(60, 180, (80, 120, 3)).astype(np.uint8)),
+    )
+
+
+def test_run_lengths_that_do_not_fill_the_mask_are_refused(tmp_path):
+    pytest.importorskip("pycocotools")
+    for counts in ("", "zzzz~~~~", "01"):
+        (tmp_path / "bad.json").write_text(json.dumps({"size": [100, 120], "counts": counts}))
+        assert_refused("its runs", read_mask, tmp_path / "bad.json")
+
+
+def test_a_polygon_covers_its_area(tmp_path):
+    square = {"segmentation": [[30, 20, 90, 20, 90, 60, 30, 60]], "height": 100, "width": 120}
+    (tmp_path / "square.json").write_text(json.dumps(square))
+    assert np.count_nonzero(read_mask(tmp_path / "square.json")) == 60 * 40
+
+
+def test_a_label_on_a_bright_background_is_no_part_of_it(tmp_path):
+    for background, colour in (((255, 255, 255), (200, 0, 0)), ((0, 0, 255), (255, 0, 0))):
+        picture = np.full((40, 60, 3), background, np.uint8)
+        picture[ONE] = colour
+        np.testing.assert_array_equal(read_mask(saved(tmp_path / "c.png", picture)), ONE)
+
+
+def test_the_background_of_a_palette_is_black_wherever_it_stands(tmp_path):
+    image = Image.fromarray((~ONE).astype(np.uint8), "P")
+    image.putpalette([200, 0, 0, 0, 0, 0])
+    image.save(tmp_path / "p.png")
+    np.testing.assert_array_equal(read_mask(tmp_path / "p.png"), ONE)
+
+
+def test_a_mask_that_overshoots_is_no_array_of_logits(tmp_path):
+    np.save(tmp_path / "under.npy", ONE * 1.04 - 0.02)
+    np.testing.assert_array_equal(read_mask(tmp_path / "under.npy") > 0.5, ONE)
+
+
+def test_labels_of_arrays_may_be_floats_and_not_booleans(tmp_path):
+    np.save(tmp_path / "f.npy", LABELS.astype("f4"))
+    np.testing.assert_array_equal(read_mask(tmp_path / "f.npy", MaskChoice("2")), OTHER)
+    np.save(tmp_path / "b.npy", ONE)
+    assert_refused("holds true and false", read_mask, tmp_path / "b.npy", MaskChoice("1"))

@@ -161,7 +161,7 @@ def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
     [
         (
             {"extensionsUsed": ["KHR_draco_mesh_compression"]},
-            "compressed by Draco, which tso does not read; export it without",
+            "its meshes use Draco, which tso does not read; export it without",
         ),
         ({"meshes": []}, "expected the index of a mesh"),
         ({"nodes": [{"children": [1]}, {"children": [0]}], "scenes": []}, "a circle"),
@@ -332,3 +332,31 @@ def test_a_result_is_written_as_what_its_suffix_says(tmp_path):
     assert_refused(
         "expected .ply or .npy or .xyz", write_cloud, tmp_path / "a.glb", moved, like=cloud
     )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"extensionsUsed": 5},
+        {"scenes": [{"nodes": 5}]},
+        {"nodes": [{"mesh": 0, "children": 2}]},
+        {"meshes": [{"primitives": [{"attributes": {"POSITION": [0]}}]}]},
+        {"meshes": [{"primitives": [{"attributes": {"POSITION": 1, "NORMAL": [1]}}]}]},
+        {"accessors": [{"componentType": [1], "type": "VEC3", "bufferView": 0, "count": 1}] * 3},
+    ],
+)
+def test_values_of_another_type_in_a_gltf_are_refused(tmp_path, change):
+    path, _ = a_glb(tmp_path)
+    document, binary = parts_of(path.read_bytes())
+    inline = base64.b64encode(binary).decode()
+    document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{inline}"
+    (tmp_path / "a.gltf").write_text(json.dumps(document | change))
+    assert_refused(r"a\.gltf: ", read_cloud, tmp_path / "a.gltf")
+
+
+def test_faces_of_an_array_must_name_its_points(tmp_path):
+    points = np.random.default_rng(0).normal(size=(8, 3))
+    np.savez(tmp_path / "bad.npz", points=points, faces=[[0, 1, 99]])
+    assert_refused(r"bad\.npz", read_cloud, tmp_path / "bad.npz")
+    np.savez(tmp_path / "quads.npz", points=points, faces=[[0, 1, 2, 3]])
+    assert_refused(r"quads\.npz", read_cloud, tmp_path / "quads.npz")

@@ -1,6 +1,5 @@
 """Files become views as they were read, and the assumptions under which they are meant."""
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +44,8 @@ def test_the_camera_of_a_left_handed_cloud_is_said_to_be_mirrored(folder):
 
 
 def test_reading_finds_and_warns_of_nothing(folder, recwarn):
-    shutil.copy("image.png", "photo.png")
+    with Image.open("image.png") as image:
+        image.convert("L").save("photo.png")
     scene = load_points_scene(CLOUD, Path("photo.png"))
     assert scene.given.known == ()
     assert not recwarn.list

@@ -10,7 +10,7 @@ from ..diagnosis.hypotheses import assumptions_of
 from ..errors import InputError
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
 from ..io.clouds import check_suffix, write_cloud
-from ..io.masks import MaskChoice
+from ..io.masks import MaskChoice, masks_in
 from ..io.output import atomic_output, check_output
 from ..io.shipped import DEFAULT, named_checkpoint
 from ..refinement import RefineResult
@@ -65,6 +65,7 @@ class RefineInputs:
                     "their masks"
                 )
             self.masks = tuple(named_masks(self.camera, self.camera_format, self.object_id))
+        self.masks = tuple(file for mask in self.masks for file in masks_in(mask))
         if self.fit:
             self._check_fit()
 

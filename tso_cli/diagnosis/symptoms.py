@@ -9,7 +9,7 @@ import numpy as np
 
 from ..geometry.arrays import Array
 from ..geometry.points import longest_side
-from ..geometry.view import View, object_box
+from ..geometry.view import View, is_grey_inside, object_box
 from .cells import Outline, on_known_pixels
 from .findings import Finding
 from .occlusion import occluded
@@ -36,15 +36,6 @@ class BoundingBox:
     FEWEST_POINTS, FEWEST_PIXELS = 512, 16  # fewer, along the mask's shorter side, show no box
 
 
-class Photo:
-    """A mask with more grey than a soft outline has: pixels whose neighbours are grey too."""
-
-    LEAST_RATIO = 1.05  # of the object or of the background, whichever is smaller
-    GREY = (0.1, 0.9)
-    ROWS = 256  # rows or columns that are counted, about
-    FEWEST_PIXELS = 400  # of the smaller of object and background
-
-
 # A cloud is implausibly near or far at a distance outside this range, in its longest sides.
 PLAUSIBLE_DISTANCES = (0.2, 1000.0)
 # A depth map is of another unit if its median is outside the depths of the cloud by this factor.
@@ -53,17 +44,8 @@ DEPTH_FACTOR = 2.0
 
 def photo(view: View, number: int) -> Finding | None:
     """A mask that is grey over more than what it shows."""
-    step = max(1, min(view.mask.shape) // Photo.ROWS)
-    some, inside = view.mask[::step, ::step], view.inside[::step, ::step]
-    known = np.ones(some.shape, bool) if view.known is None else view.known[::step, ::step]
-    smaller = min(np.count_nonzero(inside), np.count_nonzero(known & ~inside))
-    grey = (some > Photo.GREY[0]) & (some < Photo.GREY[1]) & known
-    # Every pixel of a thin part is at the outline, and has light or dark neighbours.
-    middle = grey[1:-1, 1:-1]
-    grey = middle & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
-    if smaller < Photo.FEWEST_PIXELS or np.count_nonzero(grey) <= Photo.LEAST_RATIO * smaller:
-        return None
-    return Finding("photo", (number,))
+    known = np.ones(view.mask.shape, bool) if view.known is None else view.known
+    return Finding("photo", (number,)) if is_grey_inside(view.mask, view.inside, known) else None
 
 
 def coarse(view: View, number: int, points: int) -> Finding | None:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from .arrays import Array, Bits
 
+# Radii at which a lens is looked at, in focal lengths: up to 84 degrees from the axis.
+FARTHEST, STEPS = 10.0, 4001
 ROWS_AT_ONCE = 256
 """Rows of a picture that are resampled at once; it bounds the memory."""
 
@@ -29,6 +31,23 @@ class Distortion:
     def none(self) -> bool:
         """Whether this is a lens without distortion; a fisheye always distorts."""
         return self.model == "radial-tangential" and not any(self.coefficients)
+
+    def reach(self) -> float:
+        """The radius up to which a larger radius is shown farther out.
+
+        Beyond it the polynomial turns back, and would show the middle of the picture a second time.
+        """
+        radius = np.linspace(0.0, FARTHEST, STEPS)
+        shown, _ = Distortion(self.model, self._radial()).distorted(radius, np.zeros_like(radius))
+        turns = np.flatnonzero(~(np.diff(shown) > 0.0))
+        return float(radius[turns[0]]) if len(turns) else np.inf
+
+    def _radial(self) -> tuple[float, ...]:
+        """The coefficients without tangential ones."""
+        if self.model == "equidistant":
+            return self.coefficients
+        k1, k2, _, _, *rest = (*self.coefficients, *[0.0] * 8)[:8]
+        return (k1, k2, 0.0, 0.0, *rest)
 
     def distorted(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Where the lens shows the points (x, y) = (X / Z, Y / Z)."""
@@ -63,6 +82,7 @@ def undistorted(
     out = np.zeros_like(channels, dtype=picture.dtype if nearest else np.float64)
     inside = np.zeros((height, width), dtype=bool)
     columns = np.arange(width, dtype=np.float64)
+    reach = distortion.reach()
     for start in range(0, height, ROWS_AT_ONCE):
         rows = np.arange(start, min(start + ROWS_AT_ONCE, height))
         v = np.broadcast_to(rows[:, None].astype(np.float64), (len(rows), width))
@@ -72,6 +92,7 @@ def undistorted(
         u = K[0, 0] * x + K[0, 1] * y + K[0, 2]
         v = K[1, 1] * y + K[1, 2]
         seen = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
+        seen &= np.hypot((columns - K[0, 2]) / K[0, 0], (rows[:, None] - K[1, 2]) / K[1, 1]) < reach
         inside[rows] = seen
         out[rows] = _sampled(channels, np.where(seen, u, 0.0), np.where(seen, v, 0.0), nearest)
     return out.reshape(picture.shape), inside

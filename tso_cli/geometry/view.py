@@ -204,3 +204,26 @@ def _box_without_specks(inside: Bits, limit: float) -> tuple[Indices, Indices] |
     if sizes[speck].sum() > limit:
         return None
     return low[~speck].min(0), high[~speck].max(0)
+
+
+class Grey:
+    """A mask with more grey than a soft outline has: pixels whose neighbours are grey too."""
+
+    LEAST_RATIO = 1.05  # of the object or of the background, whichever is smaller
+    VALUES = (0.1, 0.9)
+    ROWS = 256  # rows or columns that are counted, about
+    FEWEST_PIXELS = 400  # of the smaller of object and background
+
+
+def is_grey_inside(mask: Floats, inside: Bits, known: Bits) -> bool:
+    """Whether a mask [H, W] is grey over more than what it shows, as a photo is."""
+    step = max(1, min(mask.shape) // Grey.ROWS)
+    some, shown, counted = mask[::step, ::step], inside[::step, ::step], known[::step, ::step]
+    smaller = min(np.count_nonzero(shown), np.count_nonzero(counted & ~shown))
+    grey: Bits = (some > Grey.VALUES[0]) & (some < Grey.VALUES[1]) & counted
+    # Every pixel of a thin part is at the outline, and has light or dark neighbours.
+    middle = grey[1:-1, 1:-1]
+    grey = middle & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]
+    return bool(
+        smaller >= Grey.FEWEST_PIXELS and np.count_nonzero(grey) > Grey.LEAST_RATIO * smaller
+    )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Bits, Indices
-from ..geometry.points import longest_side
+from ..geometry.points import as_triangles, longest_side
 from .output import check_output, write_file
 from .ply import PlyFile, new_ply
 from .reading import read_array, read_bytes, require_memory, shown
@@ -284,6 +284,11 @@ def _of_arrays(arrays: dict[str, Any], path: Path) -> PointCloud:
         )
     points, _, precision = point_array(np.asarray(arrays[chosen[0]]), path)
     faces = next((arrays[name] for name in _FACES if name in arrays), None)
+    if faces is not None:
+        whole = np.asarray(faces)
+        if whole.dtype.kind == "f" and (whole == np.rint(whole)).all():
+            whole = whole.astype(np.int64)
+        faces = as_triangles(whole, len(points), str(path))
     return PointCloud(points, path, precision, triangles=faces)
 
 

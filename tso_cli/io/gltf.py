@@ -42,6 +42,7 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSED = {
     "KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt",
     "KHR_meshopt_compression": "meshopt",
+    "EXT_mesh_gpu_instancing": "GPU instancing",
 }  # fmt: skip
 _DATA = "data:"
 
@@ -96,11 +97,14 @@ class GltfFile(Checked):
             raise InputError(f"{path}: holds no mesh, expected a scene with one")
 
     def _refuse_compression(self) -> None:
-        for extension in self._document.get("extensionsUsed") or []:
+        used = self._document.get("extensionsUsed", [])
+        if not isinstance(used, list):
+            raise self.error("extensionsUsed", kind(used), "a list")
+        for extension in used:
             if name := _COMPRESSED.get(str(extension)):
                 raise InputError(
-                    f"{self.path}: its meshes are compressed by {name}, which tso does not read; "
-                    "export it without compression (gltf-transform copy, or Blender)"
+                    f"{self.path}: its meshes use {name}, which tso does not read; export it "
+                    "without compression and instances (gltf-transform copy, or Blender)"
                 )
 
     def _buffer(self, number: int, buffer: dict[str, Any], binary: bytes) -> bytes:
@@ -142,6 +146,16 @@ class GltfFile(Checked):
                 if not isinstance(attributes, dict) or "POSITION" not in attributes:
                     raise self.error(f"meshes[{index}]", kind(attributes), "POSITION")
                 key = number, attributes["POSITION"]
+                if not isinstance(key[1], int):
+                    raise self.error(f"meshes[{index}].POSITION", kind(key[1]), "an index")
+                for name in ("NORMAL", "TANGENT"):
+                    if name in attributes:
+                        self._layout(attributes[name], ("VEC3", "VEC4"))
+                if "targets" in primitive:
+                    raise InputError(
+                        f"{self.path}: a mesh has morph targets, expected none; apply the shape "
+                        "before you export it"
+                    )
                 if key not in found:
                     count = len(self._positions(key[1]))
                     found[key] = _Part(number, key[1], places[number], total, count)
@@ -155,14 +169,18 @@ class GltfFile(Checked):
         index = self._document.get("scene", 0)
         if not scenes or not isinstance(index, int) or not 0 <= index < len(scenes):
             return list(range(len(nodes)))
-        open_, reached = list(scenes[index].get("nodes", [])), set()
+        roots = scenes[index].get("nodes", [])
+        if not isinstance(roots, list):
+            raise self.error(f"scenes[{index}].nodes", kind(roots), "a list of nodes")
+        open_, reached = list(roots), set()
         while open_:
             node = open_.pop()
             if not isinstance(node, int) or not 0 <= node < len(nodes):
                 raise self.error(f"scenes[{index}].nodes", kind(node), "the index of a node")
             if node not in reached:
                 reached.add(node)
-                open_ += nodes[node].get("children", [])
+                children = nodes[node].get("children", [])
+                open_ += children if isinstance(children, list) else [children]
         return sorted(reached)
 
     def _primitive(
@@ -214,13 +232,15 @@ class GltfFile(Checked):
         if "sparse" in accessor:
             raise self.error(where, "sparse", "values without sparse storage; export it again")
         form, component = accessor.get("type"), accessor.get("componentType")
-        if form not in types or component not in _COMPONENTS:
-            raise self.error(where, f"{kind(form)} of {kind(component)}", " or ".join(types))
+        known = _COMPONENTS.get(component) if isinstance(component, int) else None
+        if not isinstance(form, str) or form not in types or known is None:
+            found = f"{kind(form)} of component type {kind(component)}"
+            raise self.error(where, found, " or ".join(types))
         view_number = accessor.get("bufferView")
         if not isinstance(view_number, int) or not 0 <= view_number < len(self._views):
             raise self.error(f"{where}.bufferView", kind(view_number), "the index of a view")
         view = self._views[view_number]
-        dtype, width = np.dtype(_COMPONENTS[component]), _WIDTHS[form]
+        dtype, width = np.dtype(known), _WIDTHS[form]
         numbers = [
             (view.get("buffer", 0), f"bufferViews[{view_number}].buffer"),
             (view.get("byteOffset", 0), f"bufferViews[{view_number}].byteOffset"),
@@ -272,13 +292,13 @@ class GltfFile(Checked):
 
     def require_movable(self) -> None:
         """Raise InputError if two nodes share vertices, which could not move apart."""
-        accessors = [part.accessor for part in self._parts]
+        accessors = [self._layout(part.accessor, ("VEC3",))[:2] for part in self._parts]
         if len(set(accessors)) < len(accessors):
             twice = next(one for one in accessors if accessors.count(one) > 1)
             nodes = self._document["nodes"]
             names = [
                 plain(str(nodes[part.node].get("name", part.node)))
-                for part in self._parts if part.accessor == twice
+                for part, place in zip(self._parts, accessors, strict=True) if place == twice
             ]  # fmt: skip
             raise InputError(
                 f"{self.path}: the nodes {' and '.join(names[:2])} share one mesh, so they cannot "
@@ -286,7 +306,8 @@ class GltfFile(Checked):
                 "Single User)"
             )
         for part in self._parts:
-            if abs(np.linalg.det(part.matrix[:3, :3])) < 1e-12:
+            sides = np.linalg.svd(part.matrix[:3, :3], compute_uv=False)
+            if not sides[-1] > 1e-9 * sides[0]:
                 raise InputError(
                     f"{self.path}: a node scales its mesh to a plane, expected a scale > 0"
                 )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Bits, Floats
+from ..geometry.view import is_grey_inside
 from .archives import arrays_of
 from .checked import kind
 from .images import FILE_LIMIT, WITH_ALPHA, check_size, decoded, grey_values, to_unit
@@ -32,6 +33,15 @@ SOLID = 0.3
 LOSSES = 8
 LOSSY = ("JPEG", "WEBP")
 MOST_LISTED = 9
+# Files of a folder that are taken for masks; a .json there may be a camera file.
+SUFFIXES = (
+    ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".ppm", ".pgm", ".npy",
+    ".npz", ".pt",
+)  # fmt: skip
+# How far beyond 0 and 1 interpolation may bring the values of a mask.
+UNDERSHOOT = 0.2
+# The background of a photo is plain if this share of its border is this close to one colour.
+PLAIN, PLAIN_SHARE = 12, 0.97
 # The most masks in one array [N, H, W]; more are the rows of a picture.
 MOST_MASKS = 64
 
@@ -79,6 +89,23 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
     return to_unit(decoded(data, path, "a mask image", convert, upright), path)
 
 
+def masks_in(path: Path) -> list[Path]:
+    """The mask files of a folder in the order of their names; a file is its own list.
+
+    Raises InputError if a folder holds none.
+    """
+    if not path.is_dir():
+        return [path]
+    files = [
+        file
+        for file in sorted(path.iterdir())
+        if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file()
+    ]
+    if not files:
+        raise InputError(f"{path}: holds no mask, expected files such as {', '.join(SUFFIXES[:4])}")
+    return files
+
+
 def _refuse_index(path: Path, choice: MaskChoice) -> None:
     if choice.index is not None:
         raise InputError(
@@ -104,6 +131,13 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
         if _is_grey(image):
             grey = np.asarray(image.convert("L"))
             return _chosen(grey, grey, path, label, lossy)
+        colours = np.array(image.getpalette("RGB") or [0] * 768).reshape(-1, 3)
+        black = np.flatnonzero((colours == 0).all(1))
+        if index.size and 0 not in black and len(black) and (index == black[0]).any():
+            # The background is the black entry, wherever the palette has it.
+            order = np.arange(256, dtype=np.uint8)
+            order[0], order[black[0]] = black[0], 0
+            index = order[index]
         return _chosen(index, index != 0, path, label, lossy)
     if image.mode in ("1", "L", "F", "I") or image.mode.startswith("I;16"):
         grey = grey_values(image, path)
@@ -112,11 +146,46 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
     brightness = np.asarray(functools.reduce(ImageChops.lighter, bands))
     red, green, blue = (np.asarray(band) for band in bands)
     if np.array_equal(red, green) and np.array_equal(green, blue):
-        return _chosen(red, red, path, label, lossy)
+        chosen = _chosen(red, red, path, label, lossy)
+        # A map of probabilities has one channel; a picture in colours may be a grey photo.
+        return chosen if chosen is not red else _of_photo(brightness, bands, path)
     if lossy and label is None:
-        return brightness
+        return _of_photo(brightness, bands, path)
     codes = red.astype(np.uint32) << 16 | green.astype(np.uint32) << 8 | blue
-    return _chosen(codes, brightness, path, label, lossy, colours=True)
+    chosen = _chosen(codes, brightness, path, label, lossy, colours=True)
+    return chosen if chosen is not brightness else _of_photo(brightness, bands, path)
+
+
+def _of_photo(
+    brightness: NDArray[np.uint8], bands: tuple[Image.Image, ...], path: Path
+) -> NDArray[Any]:
+    """The mask of a picture in colours: its brightness, or the object of a photo.
+
+    A photo is grey over large parts. If its border has one colour, the object is what differs from
+    this colour. Raises InputError for other photos.
+    """
+    values = brightness.astype(np.float32) / np.float32(255.0)
+    if not is_grey_inside(values, values > 0.5, np.ones(values.shape, bool)):
+        return brightness
+    border = np.stack([
+        np.concatenate([b[0], b[-1], b[:, 0], b[:, -1]]) for b in map(np.asarray, bands)
+    ], 1).astype(np.int16)  # fmt: skip
+    colour = np.median(border, 0)
+    plain_border = (np.abs(border - colour).max(1) <= PLAIN).mean() >= PLAIN_SHARE
+    if not plain_border:
+        raise InputError(
+            f"{path}: is a photo, grey over large parts, expected a mask; segment the object first "
+            "(rembg, SAM), or give a picture with a transparent or plain background"
+        )
+    differs = np.zeros(brightness.shape, bool)
+    for band, value in zip(bands, colour.tolist(), strict=True):
+        differs |= np.abs(np.asarray(band).astype(np.int16) - value) > PLAIN
+    shown_colour = ",".join(str(int(value)) for value in colour)
+    warnings.warn(
+        f"is a photo on a plain background ({shown_colour}), the mask is what differs",
+        stacklevel=5,
+    )
+    return differs
 
 
 def _is_grey(image: Image.Image) -> bool:
@@ -149,11 +218,26 @@ def _chosen(
     if len(found) == 1:
         (code,) = found
         pixels: NDArray[Any] = codes == code
-        # A bright label is a mask as it is, with its soft edges; `to_unit` knows 0 and 1.
+        # A bright label on a dark background is a mask as it is, with its soft edges; `to_unit`
+        # knows 0 and 1.
         plain_labels = code == 1 and codes is otherwise
-        if not plain_labels and not _is_bright(otherwise[pixels]):
+        dark = ~pixels & ~_next_to(pixels)
+        as_it_is = _is_bright(otherwise[pixels]) and not (
+            dark.any() and _is_bright(otherwise[dark])
+        )
+        if not plain_labels and not as_it_is:
             return pixels
     return otherwise
+
+
+def _next_to(pixels: Bits) -> Bits:
+    """The pixels [H, W] that touch ``pixels``, as a soft edge does."""
+    grown = np.zeros_like(pixels)
+    grown[1:] |= pixels[:-1]
+    grown[:-1] |= pixels[1:]
+    grown[:, 1:] |= pixels[:, :-1]
+    grown[:, :-1] |= pixels[:, 1:]
+    return grown
 
 
 def _is_bright(values: NDArray[Any]) -> bool:
@@ -165,7 +249,7 @@ def _is_bright(values: NDArray[Any]) -> bool:
 def _code(label: str, colours: bool) -> int:
     try:
         numbers = [int(part) for part in label.split(",")]
-        if len(numbers) != (3 if colours else 1) or min(numbers) < 0 or max(numbers) > 65535:
+        if len(numbers) != (3 if colours else 1) or min(numbers) < 0:
             raise ValueError
     except ValueError:
         expected = "a colour R,G,B" if colours else "a whole number"
@@ -239,6 +323,13 @@ def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
     if array.ndim != 2 or array.dtype.kind not in "bfiu" or 0 in array.shape:
         raise InputError(f"{path}: holds {array.dtype} {shape}, expected a mask [H, W]")
     check_size(array.shape[1], array.shape[0], path)
+    if array.dtype.kind == "f" and choice.label is not None:
+        with np.errstate(invalid="ignore"):
+            if not (array == np.rint(array)).all() or array.min() < 0.0 or array.max() > 1e9:
+                raise InputError(f"{path}: holds no whole numbers, expected labels for `label`")
+        array = array.astype(np.int64)
+    if array.dtype == bool and choice.label is not None:
+        raise InputError(f"{path}: holds true and false, expected labels for `label`")
     if array.dtype.kind == "f":
         return to_unit(_of_floats(array, path), path)
     if array.dtype.kind in "iu" and int(array.min()) >= 0:
@@ -272,6 +363,9 @@ def _one_of(array: NDArray[Any], path: Path, choice: MaskChoice) -> NDArray[Any]
 def _of_floats(array: NDArray[Any], path: Path) -> NDArray[Any]:
     with np.errstate(invalid="ignore"):
         low, high = float(array.min()), float(array.max())
+    if -UNDERSHOOT <= low < 0.0 and high <= 1.0 + UNDERSHOOT:
+        # Interpolation of a mask overshoots a little.
+        return np.clip(array, 0.0, 1.0)
     if low < 0.0 < high and np.isfinite([low, high]).all():
         warnings.warn(
             f"{path}: its values span {low:.3g} to {high:.3g}, read as logits: inside is over 0",
@@ -334,11 +428,10 @@ def _sides(height: Any, width: Any, path: Path) -> tuple[int, int]:
 
 
 def _of_polygons(polygons: list[Any], height: Any, width: Any, path: Path) -> Floats:
-    from PIL import Image, ImageDraw
+    from skimage.draw import polygon2mask
 
     height, width = _sides(height, width, path)
-    image = Image.new("1", (width, height))
-    draw = ImageDraw.Draw(image)
+    inside = np.zeros((height, width), bool)
     for polygon in polygons:
         try:
             corners = np.asarray(polygon, dtype=np.float64).reshape(-1, 2)
@@ -349,8 +442,8 @@ def _of_polygons(polygons: list[Any], height: Any, width: Any, path: Path) -> Fl
                 f"{path}: a polygon is {kind(polygon)}, expected numbers x, y, x, y, ..."
             ) from None
         # COCO counts from the corner of a pixel.
-        draw.polygon([(x - 0.5, y - 0.5) for x, y in corners.tolist()], fill=1)
-    return np.asarray(image).astype(np.float32)
+        inside |= polygon2mask((height, width), corners[:, ::-1] - 0.5)
+    return inside.astype(np.float32)
 
 
 def _of_run_lengths(segmentation: Any, path: Path) -> Floats:
@@ -382,8 +475,40 @@ def _compressed(counts: str, height: int, width: int, path: Path) -> Floats:
             f"{path}: its run lengths are compressed, which needs pycocotools: pip install "
             "pycocotools"
         ) from None
+    total = _total_of_runs(counts)
+    if total != height * width:
+        raise InputError(
+            f"{path}: its runs add up to {total:,} pixels, expected {height * width:,}"
+        )
     try:
         found = coco.decode({"size": [height, width], "counts": counts.encode("ascii")})
     except Exception as error:
         raise InputError(f"{path}: its run lengths are damaged ({reason(error)})") from None
     return np.asarray(found, dtype=np.float32)
+
+
+def _total_of_runs(text: str) -> int:
+    """The pixels of compressed run lengths; pycocotools does not check that they fill the mask.
+
+    A number has five bits in each character, least first, and is signed; from the third number on
+    it is the difference to the number before the last one.
+    """
+    runs: list[int] = []
+    value = shift = 0
+    for letter in text.encode("latin-1", "replace"):
+        bits = letter - 48
+        value |= (bits & 31) << shift
+        shift += 5
+        if bits & 32:
+            if shift > 60:
+                return -1
+            continue
+        if bits & 16:
+            value -= 1 << shift
+        if len(runs) > 2:
+            value += runs[-2]
+        if value < 0:
+            return -1
+        runs.append(value)
+        value = shift = 0
+    return sum(runs)

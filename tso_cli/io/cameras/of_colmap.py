@@ -154,10 +154,17 @@ def _from_text(folder: Path) -> list[PartialCamera]:
     # Two lines of each image: its pose, and its points, which may be an empty line.
     lines = [line for line in source.text.splitlines() if not line.lstrip().startswith("#")]
     views = []
-    for line in lines[::2]:
+    while lines and not lines[0].strip():
+        lines.pop(0)
+    for line, points in zip(lines[::2], [*lines[1::2], ""], strict=False):
         words = line.split(maxsplit=9)
         if not words:
             continue
+        if len(points.split()) % 3:
+            raise source.error(
+                f"the line after image {plain(words[0])}", shown(points[:60]),
+                "its points X Y POINT3D_ID, or an empty line",
+            )  # fmt: skip
         where = f"image {plain(words[0])}"
         try:
             numbers = [float(word) for word in words[1:8]]

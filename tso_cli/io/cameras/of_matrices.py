@@ -12,10 +12,9 @@ import numpy as np
 
 from ...errors import prefixed
 from ...geometry.arrays import Array
-from ..archives import arrays_of
 from ..reading import read_array
 from .matrices import decomposed
-from .own import NAMES, OTHER_NAMES, matrices_of
+from .own import NAMES, OTHER_NAMES, matrices_of, require_no_lens
 from .record import PartialCamera, from_world_to_camera, of_pixels
 from .source import CameraSource
 
@@ -27,7 +26,7 @@ def recognises(source: CameraSource) -> bool:
     if source.looks_like_json:
         return _unnamed_json(source)
     if source.data[:4] == b"PK\x03\x04":
-        keys = arrays_of(source.data, source.path).keys()
+        keys = source.arrays.keys()
         return any(_key(key) in NAMES for key in keys) and "T" not in keys
     if source.data[:6] == b"\x93NUMPY":
         return True
@@ -46,7 +45,7 @@ def _unnamed_json(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     if source.data[:4] == b"PK\x03\x04":
-        return _named(source, arrays_of(source.data, source.path))
+        return _named(source, source.arrays)
     if source.looks_like_json:
         values: Any = source.json
     elif source.data[:6] == b"\x93NUMPY":
@@ -79,6 +78,7 @@ def _key(key: str) -> str:
 
 
 def _named(source: CameraSource, arrays: dict[str, Any]) -> list[PartialCamera]:
+    require_no_lens(source, "", arrays)
     given = {_key(key): np.asarray(value) for key, value in arrays.items() if _key(key) in NAMES}
     # A column t has one dimension more than a vector t, as a stack of vectors has.
     if "t" in given and given["t"].shape[-1:] == (1,) and given["t"].ndim > 1:

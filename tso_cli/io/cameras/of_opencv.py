@@ -65,7 +65,8 @@ def _calibration(source: CameraSource, values: dict[str, Any]) -> list[PartialCa
     K = source.matrix("K", _entries(found), (3, 3), (9,)).reshape(3, 3)
     width, height = _first(values, _WIDTH), _first(values, _HEIGHT)
     size = None if width is None or height is None else source.pixels("", width, height)
-    lens = _lens(source, "", values.get("distortion_model", ""), _first(values, _DISTORTION))
+    model = "fisheye" if values.get("fisheye_model") else values.get("distortion_model", "")
+    lens = _lens(source, "", model, _first(values, _DISTORTION))
     rotation, translation = _first(values, _ROTATION), _first(values, _TRANSLATION)
     poses = values.get("extrinsic_parameters")
     if poses is not None:

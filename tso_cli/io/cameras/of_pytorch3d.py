@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 
 from ...geometry.arrays import Array
-from ..archives import arrays_of
 from .record import PYTORCH3D, Intrinsics, PartialCamera, matrix_of, of_ndc, of_pixels
 from .source import CameraSource
 
 
 def recognises(source: CameraSource) -> bool:
-    return arrays_of(source.data, source.path).keys() >= {"R", "T"}
+    return source.arrays.keys() >= {"R", "T"}
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
-    values = arrays_of(source.data, source.path)
+    values = source.arrays
     R = _stack(source, values, "R", (3, 3))
     T = _stack(source, values, "T", (3,))
     count = max(len(R), len(T))

@@ -6,6 +6,7 @@ for all frames or in each frame.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from ...errors import InputError
@@ -93,6 +94,10 @@ def _intrinsics(
     angle = source.number(f"{where}: camera_angle_x", values["camera_angle_x"])
     if not 0.0 < angle < 3.14:
         raise source.error(f"{where}: camera_angle_x", f"{angle:g}", "radians between 0 and pi")
+    if size is not None and {"cx", "cy"} <= values.keys():
+        cx, cy = (source.number(f"{where}: {key}", values[key]) for key in ("cx", "cy"))
+        focal = size[0] / 2.0 / math.tan(angle / 2.0)
+        return of_pixels(matrix_of(focal, focal, cx, cy, corner=True), size)
     return of_horizontal_angle(angle)
 
 
@@ -105,6 +110,10 @@ def _distortion(source: CameraSource, where: str, values: dict[str, Any]) -> Dis
             "image_undistorter"
         )
     fisheye = model == "OPENCV_FISHEYE" or bool(values.get("is_fisheye"))
-    keys = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", "k4")
+    keys = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    if not fisheye and source.number(f"{where}: k4", values.get("k4", 0.0)) != 0.0:
+        raise InputError(
+            f"{source.path}: {where}: k4 is {values['k4']}, expected 0; undistort the pictures"
+        )
     numbers = [source.number(f"{where}: {key}", values.get(key, 0.0)) for key in keys]
     return Distortion("equidistant" if fisheye else "radial-tangential", tuple(numbers))

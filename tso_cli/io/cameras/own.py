@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...errors import InputError, prefixed
 from ...geometry.arrays import Array
 from ..checked import kind
@@ -43,6 +45,8 @@ OTHER_NAMES = {other: key for key, others in NAMES.items() for other in others}
 _FOCAL = ("fx", "fy", "cx", "cy")
 _FILES = ("mask", "image")
 _KNOWN = (*NAMES, *_FOCAL, *_FILES, "model")
+# Keys of lens distortion, which belongs to formats that say its model.
+_LENS = ("dist", "distortion", "dist_coeffs", "distCoeffs", "distortion_coefficients", "D", "k1")
 # Keys that do not say which way they go: what to write instead.
 _UNCLEAR = {
     "rotation": "R if it leads from world to camera, or the matrix c2w",
@@ -165,6 +169,9 @@ def matrices_of(
     """
     size = _size(source, where, values)
     K = R = t = None
+    require_no_lens(source, where, values)
+    if sum(key in values for key in ("E", "c2w", "R")) + ("P" in values) > 1:
+        raise InputError(f"{source.path}: {where or 'it '}has several poses, expected one")
     if "P" in values:
         P = source.matrix(f"{where}P", values["P"], (3, 4), (12,)).reshape(3, 4)
         with prefixed(f"{source.path}: {where}"):
@@ -191,6 +198,20 @@ def matrices_of(
     if K is None and R is None:
         raise InputError(f"{source.path}: {where}K is missing, expected {_EXPECTED}")
     return K, R, t, size
+
+
+def require_no_lens(source: CameraSource, where: str, values: dict[str, Any]) -> None:
+    """Raise InputError if ``values`` have lens distortion, whose model they do not say."""
+    for key in _LENS:
+        try:
+            numbers = np.asarray(values.get(key, 0.0), dtype=np.float64)
+        except (ValueError, TypeError):
+            continue
+        if numbers.any():
+            raise InputError(
+                f"{source.path}: {where}{key} is lens distortion, which this format has no model "
+                "for; undistort the picture (cv2.undistort), or use a file of OpenCV or COLMAP"
+            )
 
 
 def _file(source: CameraSource, where: str, view: dict[str, Any], key: str) -> Path | None:

@@ -12,7 +12,9 @@ from ..checked import Checked
 from ..output import reason
 from ..reading import read_bytes, shown
 
-LIMIT = 64 << 20  # bytes of a camera file
+LIMIT = 16 << 20  # bytes of a camera file
+# A model of COLMAP lists all image points with its cameras.
+LIMIT_OF_MODEL = 2 << 30
 # A scene with its cameras, as a GLB, may be larger than a list of cameras.
 LIMIT_OF_SCENE = 2 << 30
 EXPECTED = "a camera file"
@@ -28,6 +30,8 @@ class CameraSource(Checked):
         self.path = path
         self.is_folder = path.is_dir()
         limit = LIMIT_OF_SCENE if path.suffix.lower() == ".glb" else LIMIT
+        if path.name in ("images.bin", "images.txt"):
+            limit = LIMIT_OF_MODEL
         self.data = b"" if self.is_folder else read_bytes(path, EXPECTED, limit)
 
     @cached_property
@@ -61,12 +65,19 @@ class CameraSource(Checked):
     def _unique(self, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         values = dict(pairs)
         if len(values) < len(pairs):
-            keys = [key for key, _ in pairs]
-            twice = next(key for i, key in enumerate(keys) if key in keys[:i])
+            seen: set[str] = set()
+            twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
             raise InputError(
                 f"{self.path}: the key {shown(twice)} appears twice in one object, expected once"
             )
         return values
+
+    @cached_property
+    def arrays(self) -> dict[str, Any]:
+        """The arrays of a .npz or .pt file."""
+        from ..archives import arrays_of
+
+        return arrays_of(self.data, self.path, LIMIT)
 
     @cached_property
     def words(self) -> list[list[str]]:

@@ -68,7 +68,7 @@ def transforms_text(named: Sequence[Named]) -> str:
         }  # fmt: skip
         if lens and not lens.none:
             fisheye = lens.model == "equidistant"
-            keys = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", "k4")
+            keys = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
             if any(lens.coefficients[len(keys) :]):
                 raise InputError(f"{name}: its lens has more coefficients than the format holds")
             frame["camera_model"] = "OPENCV_FISHEYE" if fisheye else "OPENCV"
@@ -79,8 +79,13 @@ def transforms_text(named: Sequence[Named]) -> str:
 
 def folder_of(path: Path, overwrite: bool) -> Path:
     """The folder ``path`` for a model of several files; InputError if it holds one already."""
+    binary = [f"{name}.bin" for name in ("cameras", "images", "points3D")]
+    if path.is_dir() and any((path / file).exists() for file in binary):
+        raise InputError(f"{path}: holds a binary model, which is read first; expected a new name")
     if path.is_dir() and not overwrite and any((path / f).exists() for f in colmap_texts([])):
         raise InputError(f"{path}: holds a model already, expected a new name or `overwrite`")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: its folder does not exist, expected one to write to")
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file, expected a folder to write a COLMAP model to")
     return path
