@@ -152,3 +152,12 @@ def test_a_turned_mask_with_a_camera_file_is_taken_as_it_is_stored(tmp_path, tur
     (tmp_path / "camera.json").unlink()
     (view,), (origin,) = load_views(files)
     assert origin.notes[0] == "mask.png is turned upright by its EXIF orientation"
+
+
+def test_an_order_that_contradicts_the_names_of_the_pictures_is_refused(masks):
+    paths = masks("002.png", "001.png", "00l.png", "003.png")
+    assert_refused(
+        r"the mask .*002\.png is named by views\[2\] and given at place 0, expected the same order",
+        load_views,
+        ViewFiles(paths, FILES / "colmap"),
+    )

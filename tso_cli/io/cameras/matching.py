@@ -43,10 +43,11 @@ def paired(
         raise _no_order(path, views, masks)
     for number, (view, mask) in enumerate(zip(views, masks, strict=True)):
         naming = [i for i, other in enumerate(views) if names_mask(other, mask)]
-        if naming and number not in naming:
+        alike = naming or [i for i, other in enumerate(views) if _same_stem(other, mask)]
+        if alike and number not in alike:
             raise InputError(
-                f"{path}: the mask {mask} is named by views[{naming[0]}] and given at place "
-                f"{number}, expected the same order"
+                f"{path}: the mask {mask} is named by views[{alike[0]}] and given at place "
+                f"{number}, expected the same order, or masks that are all named like their views"
             )
         if not naming and view.mask is not None:
             warnings.warn(
