@@ -286,9 +286,9 @@ def flagged() -> str:
         f"- the camera is turned by {yaw} degrees about the vertical axis through the object, is\n"
         f"  moved aside by {aside} % of the object's size, or is {distance} times as far away.\n\n"
         "Each change has several levels, from harmless to hopeless. Of the harder half of the\n"
-        "levels, take the results that got worse by over 5 %. tso warned of these results in\n"
-        f"{shares[0]} of the cases if the mask was wrong, in {shares[1]} if the camera was wrong,\n"
-        f"and in {shares[2]} if the cloud was wrong."
+        "levels, take the results that got worse by over 5 %.\n"
+        f"If the mask was wrong, tso warned of {shares[0]} of these results. If the camera was\n"
+        f"wrong, it warned of {shares[1]}, and if the cloud was wrong, of {shares[2]}."
     )
 
 

@@ -29,8 +29,10 @@ import numpy as np
 
 from ..errors import InputError, prefixed
 from ..geometry.arrays import Array, Floats, Indices, Pixels
-from ..geometry.camera import Camera, intrinsics
+from ..geometry.camera import Camera
 from ..geometry.points import bounding_box_normalisation
+from ..io.cameras.of_pix3d import SENSOR_WIDTH
+from ..io.cameras.record import PYTORCH3D, of_widths
 from ..io.meshes import read_mesh
 from ..io.reading import read_json, shown
 from . import common
@@ -38,7 +40,6 @@ from .items import Dataset, ObjectItem, ViewItem
 
 TABLE = "pix3d.json"
 PARTLY_SEEN = ("truncated", "occluded", "slightly_occluded")
-_IMAGE_AXES = np.diag([-1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -100,10 +101,10 @@ def _entry(values: Any, where: str) -> _Entry:
         _text(values, key, where) for key in ("img", "mask", "model", "category")
     )
     width, height = (int(side) for side in _numbers(values, "img_size", (2,), where, whole=True))
-    focal = float(_numbers(values, "focal_length", (), where)) / 32.0 * width
-    K = intrinsics(focal, width, height)
-    R = _IMAGE_AXES @ _numbers(values, "rot_mat", (3, 3), where)
-    t = _IMAGE_AXES @ _numbers(values, "trans_mat", (3,), where)
+    focal = float(_numbers(values, "focal_length", (), where)) / SENSOR_WIDTH
+    K = of_widths(focal)(width, height)
+    R = PYTORCH3D @ _numbers(values, "rot_mat", (3, 3), where)
+    t = PYTORCH3D @ _numbers(values, "trans_mat", (3,), where)
     with prefixed(f"{where}: "):
         camera = Camera(K, R, t, width, height)
     return _Entry(image, mask, model, category, camera)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import as_triangles, longest_side
+from .movable import MovableFile
 from .output import check_output, write_file
 from .ply import PlyFile, new_ply
 from .reading import read_array, read_bytes, require_memory, shown
@@ -40,39 +40,6 @@ MOST_COLUMNS = 100  # of a table of points; more are an image
 _LARGEST = 1e100
 # The most memory that a point takes in a refinement, if it only follows the control points.
 BYTES_PER_POINT = 250
-
-
-class MovableFile(Protocol):
-    """A file of points that can be written again with other coordinates (`PlyFile`, ...)."""
-
-    data: bytes
-    suffix: str
-
-    @property
-    def kinds(self) -> Sequence[str]:
-        """The types of the three coordinates: "f4", "f8" or an integer's."""
-
-    @property
-    def stale_after_moving(self) -> str:
-        """What is wrong once the points have moved, such as "normals"; "" if nothing is."""
-
-    def read(self) -> Array:
-        """The points [N, 3]."""
-
-    def read_colours(self) -> Array | None:
-        """Red, green and blue [N, 3] in [0, 1], or None."""
-
-    def read_faces(self) -> Indices | None:
-        """Triangles [F, 3], or None."""
-
-    def read_faint(self) -> Bits | None:
-        """[N], points that cannot be seen, or None."""
-
-    def require_movable(self) -> None:
-        """Raise InputError if the file cannot be written with other points."""
-
-    def with_points(self, points: Array) -> bytes:
-        """The file with its points at ``points`` [N, 3]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +107,8 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
             mesh = read_mesh(path, textures=False)
             cloud = PointCloud(mesh.vertices, path, triangles=mesh.faces)
         elif suffix == ".npy":
-            cloud = PointCloud(*point_array(read_array(data, path), path), triangles=None)
+            points, precision = point_array(read_array(data, path), path)
+            cloud = PointCloud(points, path, precision)
         elif suffix in ARRAYS:
             from .archives import arrays_of
 
@@ -250,15 +218,13 @@ def check_suffix(path: Path, own: str = "") -> None:
 
 def _new_file(suffix: str, points: Array, dtype: str, like: PointCloud | None) -> bytes:
     if suffix == ".ply":
-        faces = like.faces() if like is not None and like.source is None else None
         if like is not None and like.source is not None:
-            faces = like.faces()
             warnings.warn(
                 f"{like.path}: its textures, materials and normals do not go into a .ply; write "
                 f"{like.source.suffix} to keep them",
                 stacklevel=3,
             )
-        return new_ply(points, dtype, faces)
+        return new_ply(points, dtype, like.faces() if like is not None else None)
     values = points.astype(np.float32 if dtype == "float32" else np.float64)
     if suffix == ".npy":
         stream = io.BytesIO()
@@ -282,7 +248,7 @@ def _of_arrays(arrays: dict[str, Any], path: Path) -> PointCloud:
         raise InputError(
             f"{path}: holds {shapes or 'no array'}, expected an array called points [N, 3]"
         )
-    points, _, precision = point_array(np.asarray(arrays[chosen[0]]), path)
+    points, precision = point_array(np.asarray(arrays[chosen[0]]), path)
     faces = next((arrays[name] for name in _FACES if name in arrays), None)
     if faces is not None:
         whole = np.asarray(faces)
@@ -292,8 +258,8 @@ def _of_arrays(arrays: dict[str, Any], path: Path) -> PointCloud:
     return PointCloud(points, path, precision, triangles=faces)
 
 
-def point_array(array: NDArray[Any], path: Path) -> tuple[Array, Path, str]:
-    """Points [N, 3] of an array [N, 3 or more] or [1, N, 3 or more], the path, and the precision.
+def point_array(array: NDArray[Any], path: Path) -> tuple[Array, str]:
+    """Points [N, 3] of an array [N, 3 or more] or [1, N, 3 or more], and the precision.
 
     Raises InputError for another shape; several clouds [B, N, 3] are named as what they are.
     """
@@ -316,7 +282,7 @@ def point_array(array: NDArray[Any], path: Path) -> tuple[Array, Path, str]:
     require_memory(path, BYTES_PER_POINT * len(one))
     precision = "float32" if one.dtype.kind == "f" and one.dtype.itemsize <= 4 else "float64"
     with np.errstate(all="ignore"):
-        return np.ascontiguousarray(one, dtype=np.float64), path, precision
+        return np.ascontiguousarray(one, dtype=np.float64), precision
 
 
 def _check(points: Array, path: Path, extended: bool) -> None:

@@ -10,6 +10,7 @@ import base64
 import binascii
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,10 +34,10 @@ from .gltf_scene import (
     with_bounds,
     with_uri,
 )
+from .movable import MovableFile
 from .reading import plain, read_bytes
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_FLOAT = 5126
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSED = {
@@ -68,7 +69,7 @@ class _Primitive:
     tangent: int | None
 
 
-class GltfFile(Checked):
+class GltfFile(Checked, MovableFile):
     """The meshes of a scene. Raises InputError if the file is damaged or holds no vertex.
 
     Attributes
@@ -216,10 +217,15 @@ class GltfFile(Checked):
             )
         return _as_double(values)
 
-    def _values(self, accessor: Any, types: tuple[str, ...]) -> NDArray[Any]:
-        """The values [N, C] of an accessor, a view into its buffer."""
+    def _values(
+        self,
+        accessor: Any,
+        types: tuple[str, ...],
+        buffers: Sequence[bytes | bytearray] | None = None,
+    ) -> NDArray[Any]:
+        """The values [N, C] of an accessor, a view into the file's buffer or one of ``buffers``."""
         buffer, offset, dtype, count, width, stride = self._layout(accessor, types)
-        data = self._buffers[buffer]
+        data = (self._buffers if buffers is None else buffers)[buffer]
         return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
 
     def _layout(
@@ -277,19 +283,6 @@ class GltfFile(Checked):
         joined = np.concatenate(faces) if faces else np.empty((0, 3), np.int64)
         return joined if len(joined) else None
 
-    def read_colours(self) -> None:
-        """glTF keeps colours in textures: no colours of vertices are read."""
-        return
-
-    def read_faint(self) -> None:
-        """A mesh has no faint points."""
-        return
-
-    @property
-    def stale_after_moving(self) -> str:
-        """What is wrong once the vertices have moved: normals and tangents are turned."""
-        return ""
-
     def require_movable(self) -> None:
         """Raise InputError if two nodes share vertices, which could not move apart."""
         accessors = [self._layout(part.accessor, ("VEC3",))[:2] for part in self._parts]
@@ -325,18 +318,12 @@ class GltfFile(Checked):
             moved = (before[span] != points[span]).any(1)
             inverse = np.linalg.inv(part.matrix[:3, :3])
             local = (points[span] - part.matrix[:3, 3]) @ inverse.T
-            target = self._writable(buffers, part.accessor, ("VEC3",))
+            target = self._values(part.accessor, ("VEC3",), buffers)
             with np.errstate(all="ignore"):  # a coordinate too large is an error of the caller
                 target[moved] = local[moved]
             bounds[part.accessor] = target.min(0).tolist(), target.max(0).tolist()
         self._turn_directions(buffers, before, points)
         return self._assembled(buffers, bounds)
-
-    def _writable(
-        self, buffers: list[bytearray], accessor: int, types: tuple[str, ...]
-    ) -> NDArray[Any]:
-        buffer, offset, dtype, count, width, stride = self._layout(accessor, types)
-        return np.ndarray((count, width), dtype, buffers[buffer], offset, (stride, dtype.itemsize))
 
     def _turn_directions(self, buffers: list[bytearray], before: Array, after: Array) -> None:
         """Turn normals and tangents with the faces around them."""
@@ -346,7 +333,7 @@ class GltfFile(Checked):
                 if accessor is None or accessor in done:
                     continue
                 done.add(accessor)
-                target = self._writable(buffers, accessor, (form,))
+                target = self._values(accessor, (form,), buffers)
                 part = primitive.part
                 if target.dtype != np.dtype("<f4") or len(target) != part.count:
                     continue

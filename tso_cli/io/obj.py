@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.normals import turned_normals
+from .movable import MovableFile
 from .ply_body import spliced
 from .reading import plain, require_memory
 
@@ -53,7 +54,7 @@ def _absolute(text: bytes, total: int) -> bytes:
     return str(total + 1 + int(text)).encode() if re.fullmatch(rb"-\d{1,18}", text) else text
 
 
-class ObjFile:
+class ObjFile(MovableFile):
     """The text of an OBJ file. Raises InputError if it is damaged or holds no vertex.
 
     Attributes
@@ -84,10 +85,8 @@ class ObjFile:
             raise InputError(f"{path}: holds no vertex (v x y z), expected some")
         self._spans = self._of_three(rows[b"v"])
         self._normal_spans = self._of_three(rows[b"vn"]) if rows[b"vn"] else None
-        self._coloured = all(len(spans) >= 6 for _, spans in rows[b"v"])
-        self._colour_spans = (
-            np.array([spans[3:6] for _, spans in rows[b"v"]]) if self._coloured else None
-        )
+        coloured = all(len(spans) >= 6 for _, spans in rows[b"v"])
+        self._colour_spans = np.array([spans[3:6] for _, spans in rows[b"v"]]) if coloured else None
         self._points = self._numbers(self._spans)
         self._triangles, self._normals = self._triangulated()
 
@@ -170,18 +169,6 @@ class ObjFile:
                 "0 to 1"
             )
         return colours
-
-    def read_faint(self) -> None:
-        """A mesh has no faint points."""
-        return
-
-    @property
-    def stale_after_moving(self) -> str:
-        """What is wrong once the vertices have moved: normals are turned."""
-        return ""
-
-    def require_movable(self) -> None:
-        """Every OBJ file can be written with other vertices."""
 
     def with_points(self, points: Array) -> bytes:
         """The file with its vertices moved to ``points`` [V, 3]."""

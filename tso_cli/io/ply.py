@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Bits, Indices
+from .movable import MovableFile
 from .ply_body import BinaryBody, TextBody, layout
 from .ply_header import Element, parse_header
 from .reading import require_memory, shown
@@ -32,7 +33,7 @@ LEAST_OPACITY = 0.05
 HARMONIC = 0.28209479177387814
 
 
-class PlyFile:
+class PlyFile(MovableFile):
     """A PLY file with the bytes ``data``, text or binary; the vertex element may be at any place.
 
     Raises InputError if ``data`` is not a PLY file, has no x, y, z, or has a body that is shorter
@@ -59,9 +60,6 @@ class PlyFile:
         self._places = self._places_of(self.vertex, AXES)
 
     suffix = ".ply"
-
-    def require_movable(self) -> None:
-        """Every PLY file can be written with other vertices."""
 
     def _vertex(self) -> Element:
         vertex = self.header.elements.get("vertex")

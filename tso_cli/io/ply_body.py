@@ -6,6 +6,7 @@ counts words. Otherwise the two do the same, by methods of the same names.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -59,7 +60,7 @@ class BinaryBody:
         """The values of ``kind`` at ``places`` [...]."""
         return self._view(self.data, kind)[places]
 
-    def columns(self, places: Indices, kinds: list[str]) -> Array:
+    def columns(self, places: Indices, kinds: Sequence[str]) -> Array:
         """The values [N, K] at ``places`` [N, K]; column k is of the k-th kind."""
         with np.errstate(invalid="ignore"):  # signalling NaN
             return np.stack(
@@ -124,7 +125,7 @@ class BinaryBody:
                 "expected none"
             )
 
-    def moved(self, places: Indices, kinds: list[str], old: Array, points: Array) -> bytes:
+    def moved(self, places: Indices, kinds: Sequence[str], old: Array, points: Array) -> bytes:
         """The body with the values ``points`` [N, K] in place of ``old`` at ``places`` [N, K]."""
         out = bytearray(self.data)
         for k, kind in enumerate(kinds):
@@ -151,7 +152,7 @@ class TextBody:
     def values(self, places: Indices, kind: str) -> NDArray[Any]:
         return self._table.values(places)
 
-    def columns(self, places: Indices, kinds: list[str]) -> Array:
+    def columns(self, places: Indices, kinds: Sequence[str]) -> Array:
         return self._table.values(places)
 
     def lengths(self, rows: Indices, places: Indices, kind: str) -> Indices:
@@ -192,7 +193,7 @@ class TextBody:
                 "expected the same"
             )
 
-    def moved(self, places: Indices, kinds: list[str], old: Array, points: Array) -> bytes:
+    def moved(self, places: Indices, kinds: Sequence[str], old: Array, points: Array) -> bytes:
         starts, ends, words = [], [], []
         for k, kind in enumerate(kinds):
             new: NDArray[Any] = points[:, k]

@@ -151,7 +151,8 @@ def view_without_camera(files: ViewFiles) -> View:
     if files.intrinsics is None:
         return view
     canonical = PartialCamera("", R=view.camera.R, t=view.camera.t)
-    known = with_intrinsics(canonical, files.intrinsics, mask)
+    given, _ = read_partial_cameras(files.intrinsics)
+    known = with_intrinsics(canonical, given, files.intrinsics, mask)
     height, width = view.mask.shape
     view = replace(view, camera=known.camera(files.intrinsics, width, height))
     lens = known.distortion
@@ -182,21 +183,23 @@ def _cameras(files: ViewFiles) -> tuple[list[PartialCamera | None], list[CameraO
             view = camera.label if shown and (len(given) > 1 or name != OWN_FORMAT) else ""
             origins[number] = CameraOrigin(source, view, by_name, name)
     if files.intrinsics is not None:
+        given, _ = read_partial_cameras(files.intrinsics)
         for number, (posed, origin) in enumerate(zip(cameras, origins, strict=True)):
             if posed is None:
                 raise InputError(
                     f"`intrinsics` {files.intrinsics}: says nothing about the pose, expected "
                     "`camera` FILE or `camera` fit with it"
                 )
-            cameras[number] = with_intrinsics(posed, files.intrinsics, files.masks[number])
+            cameras[number] = with_intrinsics(posed, given, files.intrinsics, files.masks[number])
             note = f"K of {files.intrinsics}"
             origins[number] = replace(origin, notes=(*origin.notes, note))
     return cameras, origins
 
 
-def with_intrinsics(camera: PartialCamera, file: Path, mask: Path) -> PartialCamera:
-    """``camera`` with K and lens of another camera file, from its view of the same ``mask``."""
-    views, _ = read_partial_cameras(file)
+def with_intrinsics(
+    camera: PartialCamera, views: Sequence[PartialCamera], file: Path, mask: Path
+) -> PartialCamera:
+    """``camera`` with K and lens of the ``views`` of another ``file``, by the same ``mask``."""
     view = views[0] if len(views) == 1 else paired(file, views, [mask])[0][0]
     if view.intrinsics is None:
         raise InputError(f"{file}: has no focal length, expected K for `intrinsics`")
@@ -251,10 +254,12 @@ def _raster(
     """
     if orientation(file) == 1:
         return read(True), []
-    pictures = [(read(upright), upright) for upright in (not stored, stored)]
-    chosen, upright = next(
-        (one for one in pictures if fits((one[0].shape[1], one[0].shape[0]))), pictures[0]
-    )
+    upright = not stored
+    chosen = read(upright)
+    if not fits((chosen.shape[1], chosen.shape[0])):
+        other = read(not upright)
+        if fits((other.shape[1], other.shape[0])):
+            chosen, upright = other, not upright
     done = "is turned upright by" if upright else "is taken as it is stored, without"
     return chosen, [f"{file.name} {done} its EXIF orientation"]
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import InputError
 from ...geometry.camera import Camera
 from .formats import FORMATS, read_partial_cameras, words_of
-from .matching import names_mask, paired
+from .matching import paired
 from .record import CameraRecord, PartialCamera, of_pixels, same_shape
 from .write import camera_text, write_cameras
 

@@ -102,7 +102,7 @@ def _recognised(source: CameraSource) -> tuple[str, Any]:
     for pattern, advice in NOT_READ:
         if re.match(pattern, source.data):
             raise InputError(f"{source.path}: is {advice}")
-    container = _container(source)
+    container = source.container
     for name, (_, containers) in FORMATS.items():
         if container in containers.split():
             module = _module(name)
@@ -119,27 +119,6 @@ def _recognised(source: CameraSource) -> tuple[str, Any]:
         f"{source.path}: is no camera file that tso knows, expected one of: "
         f"{', '.join(FORMATS)} (`camera_format`)"
     )
-
-
-def _container(source: CameraSource) -> str:
-    data = source.data
-    if source.is_folder:
-        return "folder"
-    if data[:4] == b"glTF":
-        return "glb"
-    if data[:4] == b"PK\x03\x04":
-        return "zip"
-    if data[:6] == b"\x93NUMPY":
-        return "npy"
-    if source.looks_like_json:
-        return "json"
-    try:
-        head = source.text[:4096]
-    except InputError:
-        return "binary"
-    markup = head.startswith(("%YAML", "<?xml", "<opencv_storage"))
-    keys = re.search(r"^[A-Za-z_][\w-]*\s*:(\s|$)", head, re.MULTILINE)
-    return "yaml" if markup or keys else "text"
 
 
 def _plugins() -> dict[str, Callable[[], Any]]:

@@ -7,30 +7,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..checked import kind
 from .own import named_file
 from .record import PartialCamera, from_camera_to_world, matrix_of, of_pixels
-from .source import CameraSource
+from .source import CameraSource, has_keys
 
 _KEYS = {"rotation", "position", "fx", "fy", "width", "height"}
 
 
 def recognises(source: CameraSource) -> bool:
     document = source.json
-    return isinstance(document, list) and bool(document) and _is_camera(document[0])
-
-
-def _is_camera(entry: object) -> bool:
-    return isinstance(entry, dict) and entry.keys() >= _KEYS
+    return isinstance(document, list) and bool(document) and has_keys(document[0], _KEYS)
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
-    document = source.json if isinstance(source.json, list) else [source.json]
     views = []
-    for number, entry in enumerate(document):
-        where = f"[{number}]"
-        if not _is_camera(entry):
-            raise source.error(where, kind(entry), f"an object with {', '.join(sorted(_KEYS))}")
+    for where, entry in source.entries(_KEYS, "[{}]"):
         size = source.pixels(f"{where}.", entry["width"], entry["height"])
         fx, fy = (source.number(f"{where}.{key}", entry[key]) for key in ("fx", "fy"))
         rotation = source.matrix(f"{where}.rotation", entry["rotation"], (3, 3))

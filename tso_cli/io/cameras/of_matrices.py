@@ -25,10 +25,10 @@ _DIMENSIONS = {"K": 2, "R": 2, "t": 1, "E": 2, "c2w": 2, "P": 2, "width": 0, "he
 def recognises(source: CameraSource) -> bool:
     if source.looks_like_json:
         return _unnamed_json(source)
-    if source.data[:4] == b"PK\x03\x04":
+    if source.container == "zip":
         keys = source.arrays.keys()
         return any(_key(key) in NAMES for key in keys) and "T" not in keys
-    if source.data[:6] == b"\x93NUMPY":
+    if source.container == "npy":
         return True
     rows = source.words
     return len(rows) in (3, 4) and {len(words) for words in rows} in ({3}, {4})
@@ -44,11 +44,11 @@ def _unnamed_json(source: CameraSource) -> bool:
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
-    if source.data[:4] == b"PK\x03\x04":
+    if source.container == "zip":
         return _named(source, source.arrays)
     if source.looks_like_json:
         values: Any = source.json
-    elif source.data[:6] == b"\x93NUMPY":
+    elif source.container == "npy":
         values = read_array(source.data, source.path)
     else:
         try:

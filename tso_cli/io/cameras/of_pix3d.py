@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import InputError
-from ..checked import kind
 from .own import named_file
 from .record import PYTORCH3D, PartialCamera, from_world_to_camera, of_widths
-from .source import CameraSource
+from .source import CameraSource, has_keys
 
 SENSOR_WIDTH = 32.0  # mm
 _KEYS = {"rot_mat", "trans_mat", "focal_length", "img_size"}
@@ -21,16 +20,12 @@ _KEYS = {"rot_mat", "trans_mat", "focal_length", "img_size"}
 def recognises(source: CameraSource) -> bool:
     document = source.json
     first = document[0] if isinstance(document, list) and document else document
-    return isinstance(first, dict) and first.keys() >= _KEYS
+    return has_keys(first, _KEYS)
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
-    document = source.json if isinstance(source.json, list) else [source.json]
     views = []
-    for number, entry in enumerate(document):
-        where = f"entry {number}"
-        if not isinstance(entry, dict) or not entry.keys() >= _KEYS:
-            raise source.error(where, kind(entry), f"an object with {', '.join(sorted(_KEYS))}")
+    for where, entry in source.entries(_KEYS, "entry {}"):
         focal = source.number(f"{where}: focal_length", entry["focal_length"]) / SENSOR_WIDTH
         if focal <= 0.0:
             raise InputError(f"{source.path}: {where}: focal_length is {focal:g}, expected > 0")

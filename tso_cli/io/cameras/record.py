@@ -39,7 +39,7 @@ class PartialCamera:
     """What a camera file says of one view; None where it says nothing.
 
     title : what messages call the view: "views[1]", "image 003.png".
-    intrinsics : K for a picture of a given size (`of_pixels`, `of_angle`, ...).
+    intrinsics : K for a picture of a given size (`of_pixels`, `of_widths`, ...).
     R, t : [3, 3] and [3], world to camera in the axes of OpenCV.
     size : width and height of the picture, px.
     mask, image : the files that the view names.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
-from ..checked import Checked
+from ..checked import Checked, kind
 from ..output import reason
 from ..reading import read_bytes, shown
 
@@ -18,6 +20,8 @@ LIMIT_OF_MODEL = 2 << 30
 # A scene with its cameras, as a GLB, may be larger than a list of cameras.
 LIMIT_OF_SCENE = 2 << 30
 EXPECTED = "a camera file"
+# What files of a kind begin with.
+_MAGIC = {b"glTF": "glb", b"PK\x03\x04": "zip", b"\x93NUMPY": "npy"}
 
 
 class CameraSource(Checked):
@@ -47,6 +51,24 @@ class CameraSource(Checked):
     @cached_property
     def looks_like_json(self) -> bool:
         return self.data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] in (b"{", b"[")
+
+    @cached_property
+    def container(self) -> str:
+        """The kind of file, by its content: folder, glb, zip, npy, json, yaml, text or binary."""
+        if self.is_folder:
+            return "folder"
+        for start, name in _MAGIC.items():
+            if self.data.startswith(start):
+                return name
+        if self.looks_like_json:
+            return "json"
+        try:
+            head = self.text[:4096]
+        except InputError:
+            return "binary"
+        markup = head.startswith(("%YAML", "<?xml", "<opencv_storage"))
+        keys = re.search(r"^[A-Za-z_][\w-]*\s*:(\s|$)", head, re.MULTILINE)
+        return "yaml" if markup or keys else "text"
 
     @cached_property
     def json(self) -> Any:
@@ -79,8 +101,25 @@ class CameraSource(Checked):
 
         return arrays_of(self.data, self.path, LIMIT)
 
+    def entries(self, keys: set[str], where: str) -> Iterator[tuple[str, dict[str, Any]]]:
+        """The place and the object of each view: the document, or each object of its list.
+
+        Raises InputError at an object without one of the ``keys``.
+        """
+        document = self.json if isinstance(self.json, list) else [self.json]
+        for number, entry in enumerate(document):
+            place = where.format(number)
+            if not has_keys(entry, keys):
+                raise self.error(place, kind(entry), f"an object with {', '.join(sorted(keys))}")
+            yield place, entry
+
     @cached_property
     def words(self) -> list[list[str]]:
         """The words of each line that is neither empty nor a comment."""
         lines = (line.split() for line in self.text.splitlines())
         return [words for words in lines if words and not words[0].startswith("#")]
+
+
+def has_keys(entry: object, keys: set[str]) -> bool:
+    """Whether ``entry`` is an object of JSON with all of the ``keys``."""
+    return isinstance(entry, dict) and entry.keys() >= keys

@@ -1,0 +1,50 @@
+"""Files of points that can be written again with other coordinates."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from ..geometry.arrays import Array, Bits, Indices
+
+
+class MovableFile(ABC):
+    """A file of points that can be written again with other coordinates.
+
+    Attributes
+    ----------
+    data : the bytes of the file. suffix : of files of this format.
+    kinds : the types of the three coordinates: "f4", "f8" or an integer's.
+    """
+
+    data: bytes
+    suffix: str
+    kinds: Sequence[str]
+
+    @abstractmethod
+    def read(self) -> Array:
+        """The points [N, 3]."""
+
+    @abstractmethod
+    def read_faces(self) -> Indices | None:
+        """Triangles [F, 3], or None."""
+
+    @abstractmethod
+    def with_points(self, points: Array) -> bytes:
+        """The file with its points at ``points`` [N, 3]."""
+
+    def read_colours(self) -> Array | None:
+        """Red, green and blue [N, 3] in [0, 1], or None."""
+        return None
+
+    def read_faint(self) -> Bits | None:
+        """[N], points that cannot be seen, or None."""
+        return None
+
+    @property
+    def stale_after_moving(self) -> str:
+        """What is wrong once the points have moved, such as "normals"; "" if nothing is."""
+        return ""
+
+    def require_movable(self) -> None:  # noqa: B027
+        """Raise InputError if the file cannot be written with other points."""
