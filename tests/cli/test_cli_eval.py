@@ -8,7 +8,7 @@ from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
 from tests.scenes import block
 from tso_cli.evaluation.compare import EvalConfig, evaluate
-from tso_cli.evaluation.footprint import IOU_MEANS
+from tso_cli.evaluation.footprint import IOU_MEANS, window_iou
 from tso_cli.evaluation.metrics import chamfer, emd, iou
 from tso_cli.evaluation.pairs import Pair
 from tso_cli.geometry.camera import Camera
@@ -19,6 +19,7 @@ from tso_cli.io.images import write_image
 from tso_cli.io.masks import read_mask
 from tso_cli.io.meshes import read_mesh, write_mesh
 from tso_cli.io.shipped import examples_folder
+from tso_cli.io.views import ViewFiles, load_views
 from tso_cli.losses.silhouette import silhouette_of
 
 
@@ -381,6 +382,35 @@ def test_masks_and_cameras_of_a_folder_are_found_by_name(pictured, tmp_path, doc
     assert "no mask for 'two', expected two.png" in refusal(
         clouds, clouds, "--iou", "--mask", masks
     )
+
+
+def test_iou_is_of_the_object_that_a_label_names(pictured, document, refusal):
+    cloud, labels = pictured / "cloud.ply", pictured / "labels.png"
+    codes = (read_mask(pictured / "mask.png") > 0.5).astype(np.uint8)
+    codes[8:24, 20:30] = 2
+    write_image(labels, codes)
+    masked = (cloud, cloud, "--iou", "--mask", labels, "--camera", pictured / "camera.json")
+    assert document(*masked, "--label", 1)["mean"]["iou"] > 0.85
+    assert document(*masked, "--label", 2)["mean"]["iou"] < 0.15
+    assert "serve --iou" in refusal(cloud, cloud, "--label", 1)
+
+
+def test_iou_is_of_the_picture_without_lens_distortion(pictured, document):
+    cloud, mask = pictured / "cloud.ply", pictured / "mask.png"
+    lens = dict(w=32, h=32, fl_x=40.0, fl_y=40.0, cx=16.0, cy=16.0)
+    camera, to_world = Camera.canonical(32, 32), np.eye(4)
+    to_world[:3, :3] = camera.R.T @ np.diag([1.0, -1.0, -1.0])
+    to_world[:3, 3] = camera.position
+    frame = {"transform_matrix": to_world.tolist(), "mask_path": "mask.png"}
+    scores = []
+    for k1 in (0.0, 0.6):
+        path = pictured / f"transforms_{k1}.json"
+        path.write_text(json.dumps({**lens, "k1": k1, "frames": [frame]}))
+        (view,) = load_views(ViewFiles([mask], path))[0]
+        found = document(cloud, cloud, "--iou", "--mask", mask, "--camera", path)
+        assert found["mean"]["iou"] == window_iou(read_cloud(cloud).points, view)
+        scores.append(found["mean"]["iou"])
+    assert scores[0] != scores[1]
 
 
 def test_iou_without_a_fitting_camera_is_refused(pictured, refusal):

@@ -1,6 +1,7 @@
 """Camera files read back exactly; what is wrong in one is said with the file and the key."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -303,3 +304,10 @@ def test_the_masks_that_the_views_name_are_listed_relative_to_the_file(save_view
     assert_refused(
         r"views\.json: views\[1\] of 2 names no mask", named_masks, save_views("a.png", None)
     )
+
+
+def test_pictures_with_alpha_are_the_masks_of_a_file_that_names_none():
+    # Blender's file names its pictures without ".png".
+    nerf = Path(__file__).parent / "files/nerf"
+    found = named_masks(nerf / "transforms_train.json")
+    assert found == [nerf / "train" / f"r_{number}.png" for number in range(4)]

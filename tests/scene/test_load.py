@@ -11,15 +11,17 @@ from tests.scenes import EXAMPLES as FOLDER
 from tests.scenes import block
 from tso_cli.diagnosis.hypotheses import INVERTED
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.io.masks import read_mask
+from tso_cli.io.masks import MaskChoice, read_mask
+from tso_cli.io.shipped import default_checkpoint
+from tso_cli.io.views import NO_FILE, ViewFiles, load_views
 from tso_cli.scene.load import MIRRORED, load_points_scene
-from tso_cli.scene.views import NO_FILE, ViewFiles, load_views
+from tso_cli.scene.network import load_network_scene
 
 MASK, CLOUD = Path("mask.png"), Path("initial.ply")
 
 
 def test_views_stay_as_they_were_read_and_are_meant_as_assumed(folder):
-    scene = load_points_scene(CLOUD, ViewFiles([MASK], assume=["mask-flipped"], invert=True))
+    scene = load_points_scene(CLOUD, MASK, ["mask-inverted", "mask-flipped"])
     mask = read_mask(MASK)
     (read,), (meant,) = scene.given.read, scene.views
     np.testing.assert_array_equal(read.mask, mask)
@@ -28,11 +30,21 @@ def test_views_stay_as_they_were_read_and_are_meant_as_assumed(folder):
     assert scene.given.assumptions[0] == INVERTED
 
 
+def test_a_network_sees_the_object_that_a_label_names(folder):
+    labels = np.where(read_mask(MASK) > 0.5, 2, 0).astype(np.uint8)
+    labels[:9, :9] = 1
+    Image.fromarray(labels).save("labels.png")
+    files = ViewFiles([Path("labels.png")], Path("camera.json"), choice=MaskChoice("2"))
+    checkpoint = default_checkpoint()
+    found = load_network_scene(Path("image.png"), files, checkpoint)
+    expected = load_network_scene(Path("image.png"), ViewFiles([MASK]), checkpoint)
+    np.testing.assert_allclose(found.points, expected.points, atol=0.01)
+
+
 def test_the_camera_of_a_left_handed_cloud_is_said_to_be_mirrored(folder):
     points = read_cloud(CLOUD).points
     write_cloud("left.ply", points[:, [1, 0, 2]])
-    files = ViewFiles([MASK], assume=["cloud-xy-swapped"])
-    scene = load_points_scene(Path("left.ply"), files)
+    scene = load_points_scene(Path("left.ply"), MASK, ["cloud-xy-swapped"])
     assert scene.camera_sources == (f"camera.json{MIRRORED}",)
     right = load_points_scene(CLOUD, MASK)
     assert right.camera_sources == ("camera.json",)
@@ -91,7 +103,7 @@ def test_files_that_do_not_belong_to_the_masks_are_refused(folder, files, messag
 def fitted():
     """The chair's scene, whose camera is fitted to the true cloud and the mask."""
     chair = FOLDER / "chair"
-    return load_points_scene(chair / "target.ply", ViewFiles([chair / "mask.png"]), fit=True)
+    return load_points_scene(chair / "target.ply", chair / "mask.png", fit=True)
 
 
 def test_a_sure_camera_is_no_finding(fitted):
@@ -101,7 +113,7 @@ def test_a_sure_camera_is_no_finding(fitted):
 
 def test_an_unsure_camera_is_a_finding_with_its_reason(folder):
     other = FOLDER / "airplane" / "initial.ply"
-    scene = load_points_scene(other, ViewFiles([MASK]), fit=True)
+    scene = load_points_scene(other, MASK, fit=True)
     (finding,) = scene.given.known
     assert finding.name == "unsure-camera"
     assert finding.views == (0,)
@@ -113,8 +125,8 @@ def test_a_camera_is_fitted_to_the_mask_as_it_is_meant(fitted, tmp_path):
     chair = FOLDER / "chair"
     dark = np.rint(255.0 * (1.0 - read_mask(chair / "mask.png"))).astype(np.uint8)
     Image.fromarray(dark).save(tmp_path / "dark.png")
-    files = ViewFiles([tmp_path / "dark.png"], invert=True)
-    scene = load_points_scene(chair / "target.ply", files, fit=True)
+    meant = ["mask-inverted"]
+    scene = load_points_scene(chair / "target.ply", tmp_path / "dark.png", meant, fit=True)
     assert scene.given.assumptions == (INVERTED,)
     np.testing.assert_allclose(scene.view.camera.R, fitted.view.camera.R, atol=1e-6)
     np.testing.assert_allclose(scene.view.mask, fitted.view.mask, atol=1e-6)
@@ -123,15 +135,15 @@ def test_a_camera_is_fitted_to_the_mask_as_it_is_meant(fitted, tmp_path):
 def test_the_mask_of_a_left_handed_cloud_is_mirrored_before_a_camera_is_fitted(fitted, tmp_path):
     chair = FOLDER / "chair"
     write_cloud(tmp_path / "left.ply", read_cloud(chair / "target.ply").points[:, [1, 0, 2]])
-    files = ViewFiles([chair / "mask.png"], assume=["cloud-xy-swapped"])
-    scene = load_points_scene(tmp_path / "left.ply", files, fit=True)
+    meant = ["cloud-xy-swapped"]
+    scene = load_points_scene(tmp_path / "left.ply", chair / "mask.png", meant, fit=True)
     assert scene.given.assumptions == ()
     np.testing.assert_array_equal(scene.view.mask, fitted.view.mask[:, ::-1])
 
 
 def test_a_camera_is_fitted_in_the_axes_of_the_cloud(fitted):
     chair = FOLDER / "chair"
-    files = ViewFiles([chair / "mask.png"], assume=["cloud-upside-down"])
-    scene = load_points_scene(chair / "target.ply", files, fit=True)
+    meant = ["cloud-upside-down"]
+    scene = load_points_scene(chair / "target.ply", chair / "mask.png", meant, fit=True)
     assert scene.given.assumptions == ()
     np.testing.assert_allclose(scene.view.camera.R, fitted.view.camera.R, atol=1e-6)

@@ -10,6 +10,7 @@ import click
 from ..errors import GateError, InputError
 from ..evaluation.compare import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluate
 from ..evaluation.pairs import find_pairs
+from ..io.masks import MaskChoice
 from ..plots.table import text_table
 from . import options
 from .options import PATH, choice, flag, option
@@ -54,6 +55,8 @@ HEADINGS = {
     "[default: the camera file next to the mask]",
     type=PATH,
 )
+@options.label
+@options.mask_index
 @option(
     "--sigma-sq",
     "Draw the silhouette as the paper does, with Gaussians of this variance (px^2).",
@@ -86,7 +89,8 @@ def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
     bounding box and scales it to longest side 1. This hides errors of scale and position.
     """
     metrics = tuple(name for name in METRICS if chosen[name]) or ("chamfer",)
-    config = options.pick(EvalConfig, chosen | {"metrics": metrics})
+    choice = MaskChoice(chosen["label"], chosen["mask_index"])
+    config = options.pick(EvalConfig, chosen | {"metrics": metrics, "choice": choice})
     if fail_above is not None and ("chamfer" not in metrics or not fail_above >= 0.0):
         raise InputError(
             f"--fail-above {fail_above:g} bounds the Chamfer distance, "
@@ -100,6 +104,7 @@ def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
         )
     for used, serving, metric in (
         (masked, "--mask and --camera serve --iou", "iou"),
+        (choice != MaskChoice(), "--label and --mask-index serve --iou", "iou"),
         (config.sigma_sq is not None, "--sigma-sq serves --iou", "iou"),
         (config.threshold is not None, "--threshold serves --f-score", "f_score"),
     ):

@@ -11,8 +11,8 @@ from ..errors import InputError
 from ..io.checkpoints import load_network, save_network
 from ..io.images import read_image
 from ..io.shipped import CATEGORIES, examples_folder
+from ..io.views import ViewFiles, load_views
 from ..network.input import network_input
-from ..scene.views import ViewFiles, load_views
 from ..version import __version__
 from . import options
 from .options import PATH, output

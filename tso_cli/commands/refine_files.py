@@ -6,16 +6,16 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..diagnosis.hypotheses import assumptions_of
+from ..diagnosis.hypotheses import INVERTED, assumptions_of
 from ..errors import InputError
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
 from ..io.clouds import check_suffix, write_cloud
 from ..io.masks import MaskChoice, masks_in
 from ..io.output import atomic_output, check_output
 from ..io.shipped import DEFAULT, named_checkpoint
+from ..io.views import ViewFiles
 from ..refinement import RefineResult
 from ..scene.load import Placing, Scene, load_points_scene
-from ..scene.views import ViewFiles
 from .options import FIT, require_output
 
 
@@ -149,34 +149,26 @@ class RefineInputs:
 
     def load(self) -> Scene:
         """Read everything."""
-        camera = None if self.fit else self.camera
+        files = ViewFiles(
+            self.masks,
+            None if self.fit else self.camera,
+            choice=MaskChoice(self.label, self.mask_index),
+            camera_format=self.camera_format,
+            object_id=self.object_id,
+            intrinsics=self.intrinsics,
+            ignore=self.ignore,
+            depth=self.depth,
+            depth_scale=self.depth_scale or 1.0,
+            image=self.image,
+        )
         if self.checkpoint is None:
-            files = ViewFiles(
-                self.masks,
-                camera,
-                choice=MaskChoice(self.label, self.mask_index),
-                camera_format=self.camera_format,
-                object_id=self.object_id,
-                intrinsics=self.intrinsics,
-                assume=self.assume,
-                invert=self.invert_mask,
-                ignore=self.ignore,
-                depth=self.depth,
-                depth_scale=self.depth_scale or 1.0,
-                image=self.image,
-            )
-            return load_points_scene(self.source, files, self.fit)
+            inverted = [INVERTED.hypothesis.name] if self.invert_mask else []
+            return load_points_scene(self.source, files, [*inverted, *self.assume], self.fit)
         from ..scene.network import load_network_scene
 
+        place = self.place or "silhouette"
         return load_network_scene(
-            self.source,
-            self.masks[0],
-            self.checkpoint,
-            camera,
-            self.invert_mask,
-            self.ignore[0] if self.ignore else None,
-            self.frame == "world",
-            self.place or "silhouette",
+            self.source, files, self.checkpoint, self.invert_mask, self.frame == "world", place
         )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import InputError, prefixed
 from ..geometry.arrays import Array
 from ..geometry.points import farthest_point_sample, normalise_longest_side
-from ..geometry.view import View
+from ..io.masks import MaskChoice
 from ..io.shapes import read_shape, shape_kind
 from ..losses.silhouette import silhouette_of
 from ..version import __version__
@@ -51,6 +51,7 @@ class EvalConfig:
     sigma_sq : variance, px^2, of the Gaussians of the paper's silhouette, whose IoU is then
         measured; None for the silhouette of `footprint`.
     as_vertices : take the vertices of meshes, and not their surface.
+    choice : which object of a mask file is meant.
     """
 
     metrics: tuple[str, ...] = ("chamfer",)
@@ -61,6 +62,7 @@ class EvalConfig:
     sigma_sq: float | None = None
     seed: int = 0
     as_vertices: bool = False
+    choice: MaskChoice = MaskChoice()
 
     def __post_init__(self) -> None:
         if self.points is not None and self.points < 2:
@@ -116,7 +118,7 @@ def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
         if "emd" in config.metrics:
             record["emd"] = emd(*compared, squared=capnet)
     if "iou" in config.metrics:
-        record.update(_measure_iou(prediction, pair, config.sigma_sq))
+        record.update(_measure_iou(prediction, pair, config))
     return record | {
         "prediction": str(pair.prediction),
         "target": str(pair.target),
@@ -146,14 +148,15 @@ def _centre(points: Array) -> Array:
     return points.min(axis=0) / 2.0 + points.max(axis=0) / 2.0
 
 
-def _measure_iou(points: Array, pair: Pair, sigma_sq: float | None) -> dict[str, Any]:
+def _measure_iou(points: Array, pair: Pair, config: EvalConfig) -> dict[str, Any]:
     scores = []
-    for file, mask, camera in pair.views():
-        if sigma_sq is None:
-            scores.append(window_iou(points, View(mask, camera, name=str(file))))
+    for view in pair.views(config.choice):
+        if config.sigma_sq is None:
+            scores.append(window_iou(points, view))
             continue
-        with prefixed(f"{pair.prediction} against {file}: "):
-            scores.append(iou(silhouette_of(points, camera, sigma_sq), mask))
+        with prefixed(f"{pair.prediction} against {view.name}: "):
+            drawn = silhouette_of(points, view.camera, config.sigma_sq)
+            scores.append(iou(drawn, view.mask, view.known))
     return {"iou": float(np.mean(scores)), "views": len(scores)}
 
 

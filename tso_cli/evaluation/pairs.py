@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..errors import InputError
-from ..geometry.camera import Camera
-from ..io.cameras import find_camera, read_camera, read_partial_cameras
-from ..io.masks import read_mask
+from ..geometry.view import View
+from ..io.cameras import find_camera, named_masks
+from ..io.masks import MaskChoice
 from ..io.shapes import SUFFIXES
+from ..io.views import ViewFiles, load_views
 
 # In a folder a .txt file is more often a note than a cloud.
 FOLDER_SUFFIXES = tuple(suffix for suffix in SUFFIXES if suffix != ".txt")
@@ -35,29 +33,17 @@ class Pair:
     mask: Path | None = None
     camera: Path | None = None
 
-    def views(self) -> Iterator[tuple[Path, NDArray[np.float32], Camera]]:
-        """The file of each mask, the mask and the camera.
+    def views(self, choice: MaskChoice) -> list[View]:
+        """The views of the mask, or of the masks that the camera file names.
 
-        Raises InputError if a file is missing or sizes differ.
+        Raises InputError as `load_views`, or if there is no camera file.
         """
-        if self.mask is not None:
-            mask = read_mask(self.mask)
-            source = self.camera or find_camera(self.mask)
-            if source is None:
-                names = f"{self.mask.stem}.camera.json or camera.json"
-                raise InputError(
-                    f"{self.mask}: found no {names} next to it, expected one or `camera`"
-                )
-            yield self.mask, mask, read_camera(source, mask.shape[1], mask.shape[0], self.mask)
-            return
-        assert self.camera is not None
-        for number, view in enumerate(read_partial_cameras(self.camera)[0]):
-            if view.mask is None:
-                raise InputError(
-                    f"{self.camera}: view {number} names no mask, expected one or `mask`"
-                )
-            mask = read_mask(view.mask)
-            yield view.mask, mask, view.camera(self.camera, mask.shape[1], mask.shape[0])
+        masks = [self.mask] if self.mask else named_masks(self.camera) if self.camera else []
+        for mask in masks:
+            if self.camera is None and find_camera(mask) is None:
+                names = f"{mask.stem}.camera.json or camera.json"
+                raise InputError(f"{mask}: found no {names} next to it, expected one or `camera`")
+        return load_views(ViewFiles(masks, self.camera, choice=choice))[0]
 
 
 def find_pairs(

@@ -94,6 +94,17 @@ def orientation(path: Path) -> int:
         return 1
 
 
+def has_alpha(path: Path) -> bool:
+    """Whether a file is a picture with an alpha channel."""
+    from PIL import Image
+
+    try:
+        with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
+            return image.mode in WITH_ALPHA or "transparency" in image.info
+    except Exception:  # no picture, or no file
+        return False
+
+
 def as_colours(image: Image.Image, path: Path) -> Pixels:
     """A picture that Pillow has opened, as `read_image` gives it.
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..cloud.cloud import Cloud
 from ..diagnosis.findings import Finding
-from ..diagnosis.hypotheses import Assumption, as_meant, left_handed
+from ..diagnosis.hypotheses import Assumption, as_meant, assumptions_of, left_handed
 from ..geometry.arrays import Array, Floats
 from ..geometry.view import View
 from ..io.clouds import PointCloud, read_cloud
+from ..io.views import ViewFiles, load_views, summary_of, view_without_camera
 from ..refinement.scene import RefineScene
-from .views import ViewFiles, load_views, summary_of, view_without_camera
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -64,14 +64,17 @@ class Scene:
         return self.views[0]
 
 
-def load_points_scene(cloud_file: Path, files: ViewFiles | Path, fit: bool = False) -> Scene:
+def load_points_scene(
+    cloud_file: Path, files: ViewFiles | Path, assume: Sequence[str] = (), fit: bool = False
+) -> Scene:
     """The scene of points mode: a cloud, or a mesh whose surface is refined, and its views.
 
-    ``files`` may be a single mask. ``fit`` estimates the camera of the one mask from mask and cloud
-    (`fit_camera`). Errors as `load_views` and `read_cloud`.
+    ``files`` may be a single mask. ``assume`` names hypotheses that are taken as true. ``fit``
+    estimates the camera of the one mask from mask and cloud (`fit_camera`). Errors as
+    `load_views` and `read_cloud`.
     """
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
-    assumptions = files.assumptions
+    assumptions = assumptions_of(assume, list(map(str, files.masks)))
     file = read_cloud(cloud_file)
     if file.source is not None:
         file.source.require_movable()

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..cloud.cloud import Cloud
 from ..diagnosis.findings import Finding
-from ..diagnosis.hypotheses import as_meant
+from ..diagnosis.hypotheses import INVERTED, as_meant
 from ..diagnosis.symptoms import coarse, photo, specks
 from ..errors import InputError
 from ..geometry.arrays import Array, Pixels
@@ -18,6 +18,7 @@ from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
 from ..geometry.view import View
 from ..io.checkpoints import load_network
 from ..io.images import read_image
+from ..io.views import NO_FILE, ViewFiles, load_views, require_same_size
 from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
 from ..network.input import network_input
@@ -26,7 +27,6 @@ from ..optimisation.loop import minimise
 from ..optimisation.parameters import PointParameters
 from ..refinement.scene import RefineScene
 from .load import Placing, Scene
-from .views import NO_FILE, ViewFiles, load_views, require_same_size
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
@@ -37,11 +37,9 @@ ALIGNMENT_STEPS, ALIGNMENT_STEP = 20, 0.005
 
 def load_network_scene(
     image_file: Path,
-    mask_file: Path,
+    files: ViewFiles | Path,
     checkpoint: Path,
-    camera_file: Path | None = None,
     invert: bool = False,
-    ignore_file: Path | None = None,
     world: bool = False,
     placing: Placing = "silhouette",
 ) -> Scene:
@@ -54,6 +52,7 @@ def load_network_scene(
 
     Parameters
     ----------
+    files : of the one view; may be its mask.
     invert : whether the mask shows the object dark.
     world : give the output of a view-aligned network in the world coordinates of the camera file.
     placing : how the cloud of a view-aligned network is placed. "silhouette" aligns it with the
@@ -63,13 +62,12 @@ def load_network_scene(
     Raises InputError if a file cannot be used, sizes of image and mask differ, or the frame or
     placing needs a camera file.
     """
-    ignore = [ignore_file] if ignore_file else []
-    files = ViewFiles([mask_file], camera_file, invert=invert, ignore=ignore)
+    files = files if isinstance(files, ViewFiles) else ViewFiles([files])
     (view,), (origin,) = load_views(files)
     camera_file = origin.file
-    view = as_meant(view, files.assumptions)
+    view = as_meant(view, [INVERTED] if invert else [])
     image = read_image(image_file)
-    require_same_size(image_file, image.shape, mask_file, view.mask.shape)
+    require_same_size(image_file, image.shape, files.masks[0], view.mask.shape)
     network, config = load_network(checkpoint)
     asked = "`frame` world" if world else f"`place` {placing}" if placing != "silhouette" else None
     if config.frame != "view" and camera_file is None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ...errors import InputError
 from ...geometry.camera import Camera
+from ..images import has_alpha
 from .formats import FORMATS, read_partial_cameras, words_of
 from .matching import paired
 from .record import CameraRecord, PartialCamera, of_pixels, same_shape
@@ -66,13 +67,23 @@ def named_masks(
 ) -> list[Path]:
     """The masks that the views of a camera file name, in the order of the views.
 
-    Raises InputError as `read_partial_cameras`, or if a view names no mask.
+    A picture with an alpha channel is a mask too. Raises InputError as `read_partial_cameras`, or
+    if a view names no mask.
     """
     views, _ = read_partial_cameras(path, camera_format, object_id)
-    masks = [view.mask for view in views]
-    if None in masks:
-        where = f"views[{masks.index(None)}] of {len(masks)}"
-        raise InputError(
-            f"{path}: {where} names no mask, expected a mask in each view, or MASK arguments"
-        )
-    return [mask for mask in masks if mask is not None]
+    masks = []
+    for number, view in enumerate(views):
+        mask = view.mask or _with_alpha(view.image)
+        if mask is None:
+            raise InputError(
+                f"{path}: views[{number}] of {len(views)} names no mask, expected a mask or a "
+                "picture with an alpha channel in each view, or MASK arguments"
+            )
+        masks.append(mask)
+    return masks
+
+
+def _with_alpha(image: Path | None) -> Path | None:
+    """The file of a picture with an alpha channel; NeRF's files name pictures without ".png"."""
+    files = [] if image is None else [image, image.with_name(f"{image.name}.png")]
+    return next((file for file in files if has_alpha(file)), None)

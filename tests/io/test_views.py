@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_refused
-from tso_cli.scene.views import ViewFiles, load_views, summary_of
+from tso_cli.io.views import ViewFiles, load_views, summary_of
 
-FILES = Path(__file__).parents[1] / "io/files"
+FILES = Path(__file__).parent / "files"
 
 
 @pytest.fixture

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..diagnosis.hypotheses import INVERTED, Assumption, assumptions_of
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..geometry.distortion import Distortion, undistorted
 from ..geometry.view import View
-from ..io.cameras import (
+from .cameras import (
     PartialCamera,
     find_camera,
     paired,
@@ -24,8 +23,8 @@ from ..io.cameras import (
     same_shape,
     words_of,
 )
-from ..io.images import orientation, read_depth, read_image
-from ..io.masks import MaskChoice, read_mask
+from .images import orientation, read_depth, read_image
+from .masks import MaskChoice, read_mask
 
 NO_FILE = "(no camera file was given or found next to the mask)"
 OWN_FORMAT = "tso"
@@ -38,7 +37,6 @@ class ViewFiles:
     camera : the file or folder of all cameras; None looks for files next to the masks.
     camera_format : its format; None finds out. object_id : the object of a data set with several.
     intrinsics : a camera file whose K is used in place of that of ``camera``.
-    assume : names of hypotheses that are taken as true. invert : "mask-inverted" is one of them.
     choice : which object of a mask file is meant.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
     """
@@ -48,8 +46,6 @@ class ViewFiles:
     camera_format: str | None = None
     object_id: int | None = None
     intrinsics: Path | None = None
-    assume: Sequence[str] = ()
-    invert: bool = False
     ignore: Sequence[Path] = ()
     depth: Sequence[Path] = ()
     depth_scale: float = 1.0
@@ -64,12 +60,6 @@ class ViewFiles:
                 "expected one for each or none"
             )
         return files or [None] * len(self.masks)
-
-    @property
-    def assumptions(self) -> tuple[Assumption, ...]:
-        """How the files are meant; raises InputError for an unknown hypothesis or mask."""
-        named = assumptions_of(self.assume, list(map(str, self.masks)))
-        return (INVERTED, *named) if self.invert else named
 
 
 @dataclass(frozen=True)
