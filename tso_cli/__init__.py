@@ -7,32 +7,36 @@ from typing import TYPE_CHECKING, Any
 from .version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from .errors import GateError, InputError, TsoError
+    from .errors import GateError, InputError, Interrupted, TsoError
     from .geometry.camera import Camera
     from .geometry.view import View
-    from .refinement import RefineConfig, RefineResult, refine, refine_batch
+    from .refinement import RefineConfig, RefineResult, refine, refine_batch, refine_each
 
 _WHERE = {
     "Camera": "geometry.camera",
     "TsoError": "errors",
     "InputError": "errors",
     "GateError": "errors",
+    "Interrupted": "errors",
     "RefineConfig": "refinement",
     "RefineResult": "refinement",
     "refine": "refinement",
     "refine_batch": "refinement",
+    "refine_each": "refinement",
     "View": "geometry.view",
 }
 __all__ = [
     "Camera",
     "GateError",
     "InputError",
+    "Interrupted",
     "RefineConfig",
     "RefineResult",
     "TsoError",
     "View",
     "refine",
     "refine_batch",
+    "refine_each",
 ]
 
 

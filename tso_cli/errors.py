@@ -16,6 +16,12 @@ class InputError(TsoError):
     exit_code = 2
 
 
+class Interrupted(TsoError):
+    """Ctrl-C came before this piece of work began."""
+
+    exit_code = 130
+
+
 class GateError(TsoError):
     """The work is done, but it misses a target that the user has set."""
 

@@ -1,9 +1,10 @@
 """Batches of clouds: each has the result that it has alone. Errors, progress and interrupts."""
 
-import multiprocessing
 import os
 import signal
+import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -15,17 +16,17 @@ from tests.scenes import block
 from tso_cli import (
     Camera,
     InputError,
+    Interrupted,
     RefineConfig,
     RefineResult,
     TsoError,
     View,
     refine,
     refine_batch,
+    refine_each,
 )
-from tso_cli.optimisation.objective import SilhouetteObjective
-from tso_cli.refinement import PRESETS
-from tso_cli.refinement.batch import Batch
-from tso_cli.refinement.workers import processes_for, spread, stop_flag
+from tso_cli.refinement import PRESETS, batch
+from tso_cli.workers import WorkerPool
 
 POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 3))
 VIEW = View(block(np.s_[21:32, 25:41]), Camera.canonical(64, 64))
@@ -59,7 +60,8 @@ def test_in_any_number_of_processes_results_have_the_bits_of_each_alone(
     expected = in_form(
         form, lambda: [refine(cloud, views, config=config) for cloud, views in scenes]
     )
-    for processes in ("1", "2", "3"):
+    monkeypatch.setattr(batch, "SCENES_TO_START", 1)
+    for processes in ("1", "2"):
         monkeypatch.setenv("OMP_NUM_THREADS", processes)
         results = in_form(form, refine_batch, scenes, config)
         for result, alone in zip(results, expected, strict=True):
@@ -122,8 +124,15 @@ def test_an_error_of_the_callers_progress_ends_the_batch(monkeypatch, processes)
     assert len(reported) < 5
 
 
+class _NotYet:
+    """Points that Ctrl-C interrupts when they are read."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize("how", ["Ctrl-C", "an exception of the caller's progress"])
-def test_after_an_interrupt_clouds_have_their_best_iterate_or_their_start(monkeypatch, how):
+def test_after_an_interrupt_clouds_have_their_best_iterate_or_none(monkeypatch, how):
     """In one process: the first cloud is done, the second is about to begin, the rest waits."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
 
@@ -134,118 +143,117 @@ def test_after_an_interrupt_clouds_have_their_best_iterate_or_their_start(monkey
             raise KeyboardInterrupt
 
     config = RefineConfig(steps=300, symmetry="none")
-    results = refine_batch(
-        [(POINTS, VIEW)] * 4 + [(POINTS * np.nan, VIEW)], config, progress=interrupt
-    )
-    first, second, *waiting, error = results
+    first, *waiting = refine_batch([(POINTS, VIEW)] * 400, config, progress=interrupt)
     assert first.fit.stop_reason == "max_steps"
-    assert second.fit.stop_reason == "interrupted"
-    assert second.fit.steps < 300
-    assert isinstance(error, InputError)
-    unmoved = refine(POINTS, VIEW, config=RefineConfig(steps=0))
-    for result in waiting:
-        assert result.fit.stop_reason == "interrupted"
-        assert result.fit.steps == 0
-        assert result.fit.iou_after == unmoved.fit.iou_before
-        np.testing.assert_array_equal(result.points, POINTS)
+    assert all(isinstance(one, Interrupted) for one in waiting)
+    assert str(waiting[-1]) == "scene 399: interrupted before it began"
 
 
-class _InterruptedOnce:
-    """Points that Ctrl-C interrupts when they are read for the first time."""
+def test_a_cloud_that_is_interrupted_while_it_is_read_has_not_begun(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    results = refine_batch([(_NotYet(), VIEW), (POINTS, VIEW)], RefineConfig(steps=3))
+    assert [type(result) for result in results] == [Interrupted, Interrupted]
 
-    def __init__(self):
-        self.read = 0
+
+class _Signals:
+    """Points that, when they are read in another process, interrupt the parent."""
+
+    def __init__(self, parent):
+        self.parent = parent
 
     def __array__(self, dtype=None, copy=None):
-        self.read += 1
-        if self.read == 1:
-            raise KeyboardInterrupt
+        if os.getpid() != self.parent:
+            os.kill(self.parent, signal.SIGINT)
         return np.array(POINTS, dtype)
 
 
-def test_an_interrupt_while_a_cloud_is_read_leaves_it_and_later_clouds_as_they_were():
-    flag = stop_flag(1)
-    batch = Batch([(_InterruptedOnce(), VIEW), (POINTS, VIEW)], RefineConfig(steps=3), flag)
-    for number in (0, 1):
-        result = batch.refine(number)
-        assert result.fit.stop_reason == "interrupted"
-        np.testing.assert_array_equal(result.points, POINTS)
-    assert flag.is_set()
-
-
-def test_a_cloud_at_work_has_its_best_iterate_after_an_interrupt(monkeypatch):
-    """Ctrl-C comes when the third cloud is done, and the second is at its third step."""
+def test_clouds_at_work_in_processes_have_their_best_iterate_after_an_interrupt(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    events = multiprocessing.get_context("fork")
-    started, interrupted, true_call, calls = (
-        events.Event(),
-        events.Event(),
-        SilhouetteObjective.__call__,
-        [],
-    )
-
-    def waiting(self, points):
-        if len(points) == 20:
-            calls.append(points)
-            if len(calls) == 3:
-                started.set()
-                assert interrupted.wait(60)
-        elif len(points) == 30:
-            assert started.wait(60)
-        return true_call(self, points)
-
-    def interrupt(done, clouds, loss):
-        if done == 2:
-            threading.Timer(0.5, interrupted.set).start()
-            os.kill(os.getpid(), signal.SIGINT)
-
-    monkeypatch.setattr(SilhouetteObjective, "__call__", waiting)
-    config = RefineConfig(steps=30, preset="paper")
-    scenes = [(POINTS, VIEW), (POINTS[:20], VIEW), (POINTS[:30], VIEW)]
-    first, at_work, done = refine_batch(scenes, config, progress=interrupt)
-    assert [result.fit.stop_reason for result in (first, at_work, done)] == [
-        "max_steps",
-        "interrupted",
-        "max_steps",
-    ]
-    assert 0 < at_work.fit.best_step <= at_work.fit.steps < 30
-    assert at_work.fit.loss_after < at_work.fit.loss_before
+    monkeypatch.setattr(batch, "SCENES_TO_START", 1)
+    config = RefineConfig(steps=100_000, preset="paper")
+    results = refine_batch([(POINTS, VIEW), (_Signals(os.getpid()), VIEW)] * 200, config)
+    begun = [result for result in results if isinstance(result, RefineResult)]
+    assert 1 <= len(begun) <= 4
+    assert {result.fit.stop_reason for result in begun} == {"interrupted"}
+    assert all(isinstance(one, (RefineResult, Interrupted)) for one in results)
 
 
-def test_a_killed_process_is_one_error_of_one_line():
-    here = os.getpid()
+class _Killed:
+    """Points whose reading kills the process that reads them."""
 
-    def killed(number):
-        if os.getpid() != here:
+    def __init__(self, parent):
+        self.parent = parent
+
+    def __array__(self, dtype=None, copy=None):
+        if os.getpid() != self.parent:
             os.kill(os.getpid(), signal.SIGKILL)
-        return number
-
-    with pytest.raises(TsoError, match="a process of the batch was killed, expected enough memory"):
-        spread(killed, 4, 2, stop_flag(2), lambda result: None)
+        return np.array(POINTS, dtype)
 
 
-@pytest.mark.parametrize("processes", [1, 2])
-def test_work_spread_over_processes_is_returned_in_order(processes):
-    done = []
-    results = spread(lambda number: number**2, 5, processes, stop_flag(processes), done.append)
-    assert results == [0, 1, 4, 9, 16]
-    assert sorted(done) == results
+@pytest.mark.skipif(sys.platform != "linux", reason="kills by signals")
+def test_a_scene_that_kills_its_process_is_an_error_of_its_own(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.setattr(batch, "SCENES_TO_START", 1)
+    scenes = [(POINTS, VIEW)] * 3 + [(_Killed(os.getpid()), VIEW)] + [(POINTS, VIEW)] * 3
+    results = refine_batch(scenes, RefineConfig(steps=3))
+    poison = results.pop(3)
+    assert isinstance(poison, TsoError)
+    assert str(poison) == (
+        "scene 3: its process was killed by SIGKILL, perhaps for lack of memory, 3 times"
+    )
+    for result in results:
+        _assert_same(result, results[0])
 
 
-@pytest.mark.parametrize(
-    ("threads", "count", "processes"), [("4", 9, 4), ("4", 3, 2), ("1", 9, 1), ("4", 1, 1)]
-)
-def test_a_batch_has_as_many_processes_as_threads_are_allowed(
-    monkeypatch, threads, count, processes
-):
-    """The first cloud is refined before processes begin."""
-    monkeypatch.setenv("OMP_NUM_THREADS", threads)
-    assert processes_for(count) == processes
+class _OutOfMemory:
+    def __array__(self, dtype=None, copy=None):
+        raise MemoryError("no more")
 
 
-def test_a_batch_inside_a_process_that_may_have_no_children_is_refined_there():
-    scenes, config = [(POINTS, VIEW)] * 3, RefineConfig(steps=2)
-    with multiprocessing.get_context("fork").Pool(1) as pool:
-        results = pool.apply(refine_batch, (scenes, config))
-    for result, alone in zip(results, refine_batch(scenes, config), strict=True):
-        _assert_same(result, alone)
+@pytest.mark.parametrize("processes", ["1", "2"])
+def test_no_error_of_one_scene_loses_the_results_of_others(monkeypatch, processes):
+    monkeypatch.setenv("OMP_NUM_THREADS", processes)
+    monkeypatch.setattr(batch, "SCENES_TO_START", 1)
+    ragged, text, large = [[1, 2, 3], [1, 2]], "cloud", POINTS * 1e308
+    bad = [ragged, text, {}, large, _OutOfMemory()]
+    scenes = [(POINTS, VIEW), *((points, VIEW) for points in bad), (POINTS, VIEW)]
+    first, *errors, last = refine_batch(scenes, RefineConfig(steps=2))
+    _assert_same(first, last)
+    assert all(isinstance(error, TsoError) for error in errors)
+    assert str(errors[-1]) == "scene 5: no more"
+
+
+def test_scenes_may_be_made_while_others_are_refined():
+    made = []
+
+    def scenes():
+        for number in range(9):
+            made.append(number)
+            yield POINTS + 0.001 * number, VIEW
+
+    found = refine_each(scenes(), RefineConfig(steps=2), executor=ThreadPoolExecutor(1), window=2)
+    number, result = next(found)
+    assert len(made) <= 3
+    rest = dict(found)
+    assert sorted([number, *rest]) == list(range(9))
+    assert isinstance(result, RefineResult)
+    _assert_same(rest[8], refine(POINTS + 0.008, VIEW, config=RefineConfig(steps=2)))
+
+
+def test_a_consumer_who_stops_leaves_no_process(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    pools = []
+    monkeypatch.setattr(batch, "WorkerPool", lambda n: pools.append(WorkerPool(n)) or pools[-1])
+    for _ in refine_each(((POINTS, VIEW) for _ in range(99)), RefineConfig(steps=2)):
+        break
+    (pool,) = pools
+    with pytest.raises(RuntimeError, match="shut down"):
+        pool.submit(print)
+
+
+def test_few_scenes_are_refined_without_other_processes(monkeypatch):
+    """Starting a process takes as long as refining a few."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "4")
+    monkeypatch.setattr(batch, "WorkerPool", None)
+    results = refine_batch([(POINTS, VIEW)] * 15, RefineConfig(steps=1))
+    assert {result.fit.steps for result in results} == {1}

@@ -3,8 +3,9 @@
 Loading numba and the machine code takes half a second; compiling takes ten seconds. A refinement
 states its work by `planned`. The compiled loops run
 
-1. if the work saves more time than loading takes, and the machine code is on disk, or
-2. if the work saves more time than loading and compiling take together.
+1. if this work and the earlier work of the process save more time than loading takes, and the
+   machine code is on disk, or
+2. if this work saves more time than loading and compiling take together.
 
 The choice depends on the work and the disk alone, so that a run can be repeated.
 """
@@ -31,6 +32,8 @@ class Seconds:
 # The modules that define the loops of a refinement, or import the modules that do.
 MODULES_OF_LOOPS = ("mask_chamfer_numba", "points_numba", "silhouette_numba")
 
+# Seconds that compiled loops save, or would have saved, in all earlier work of this process.
+_earlier = [0.0]
 _plan: ContextVar[Callable[[], bool] | None] = ContextVar("plan", default=None)
 
 
@@ -58,6 +61,22 @@ def planned(views: int, points: int, seconds: float = math.inf) -> Iterator[None
         yield
     finally:
         _plan.reset(token)
+        _earlier[0] += saved
+
+
+@contextmanager
+def decided(compiled: bool) -> Iterator[None]:
+    """Inside, compiled loops run or do not, as ``compiled`` says."""
+    token = _plan.set(lambda: compiled)
+    try:
+        yield
+    finally:
+        _plan.reset(token)
+
+
+def enough_to_load() -> tuple[int, int]:
+    """Work for `planned` that is worth loading loops from disk, and not worth compiling them."""
+    return math.ceil(Seconds.TO_LOAD / Seconds.PER_VIEW), 0
 
 
 def use_compiled() -> bool:
@@ -68,9 +87,9 @@ def use_compiled() -> bool:
 
 def _pays(seconds: float) -> bool:
     """Whether compiled loops, which save ``seconds``, save more than it takes to get them."""
-    if seconds < Seconds.TO_LOAD or not importable("numba"):
+    if _earlier[0] + seconds < Seconds.TO_LOAD or not importable("numba"):
         return False
-    if seconds >= Seconds.TO_LOAD + Seconds.TO_COMPILE or _on_disk():
+    if seconds >= Seconds.TO_LOAD + Seconds.TO_COMPILE or on_disk():
         return True
     warnings.warn(
         "found no compiled loops on disk, so numpy does this work; `tso compile` makes them once",
@@ -79,7 +98,7 @@ def _pays(seconds: float) -> bool:
     return False
 
 
-def _on_disk() -> bool:
+def on_disk() -> bool:
     """Whether the machine code of all loops of a refinement is on disk."""
     for module in MODULES_OF_LOOPS:
         importlib.import_module(f".{module}", __package__)

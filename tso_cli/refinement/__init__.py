@@ -9,19 +9,29 @@ if TYPE_CHECKING:
     from ..optimisation.presets import MODES as MODES
     from ..optimisation.presets import PRESETS as PRESETS
     from .api import refine as refine
-    from .api import refine_batch as refine_batch
+    from .batch import refine_batch as refine_batch
+    from .batch import refine_each as refine_each
     from .config import RefineConfig as RefineConfig
     from .result import RefineResult as RefineResult
 
 _MODULES = {
     "refine": ".api",
-    "refine_batch": ".api",
+    "refine_batch": ".batch",
+    "refine_each": ".batch",
     "RefineConfig": ".config",
     "RefineResult": ".result",
     "MODES": "..optimisation.presets",
     "PRESETS": "..optimisation.presets",
 }
-__all__ = ["MODES", "PRESETS", "RefineConfig", "RefineResult", "refine", "refine_batch"]
+__all__ = [
+    "MODES",
+    "PRESETS",
+    "RefineConfig",
+    "RefineResult",
+    "refine",
+    "refine_batch",
+    "refine_each",
+]
 
 
 def __getattr__(name: str) -> Any:

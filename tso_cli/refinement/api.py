@@ -1,19 +1,19 @@
-"""`refine` and `refine_batch`: test-stage optimisation (Eq. 7 of the paper) of clouds by masks."""
+"""`refine`: test-stage optimisation (Eq. 7 of the paper) of a cloud by masks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..cloud.cloud import Cloud, as_numpy
+from ..cloud.cloud import Cloud
 from ..diagnosis.findings import Finding
 from ..diagnosis.hypotheses import Assumption
-from ..errors import InputError, TsoError
+from ..errors import InputError
 from ..geometry.camera import Camera
 from ..kernels import blas
-from ..kernels.dispatch import planned
+from ..kernels.dispatch import decided, on_disk, planned
 from ..optimisation.loop import Progress
 from ..optimisation.presets import COMPARISON_STEPS, PRESETS
 from ..optimisation.settings import Settings
@@ -91,12 +91,12 @@ def refine(
             )
             points = parameters.cloud.source
         scene = as_scene(points, views, assume, known)
-    work = _work(settings, len(views), len(scene.cloud.points))
+    work = work_of(settings, len(views), len(scene.cloud.points))
     with planned(*work, settings.seconds), blas.one_thread():
         return run(scene, settings, clock, parameters, progress)
 
 
-def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
+def work_of(settings: Settings, views: int, points: int) -> tuple[int, int]:
     """How often a cloud is compared with a view, and that times its points, for `planned`."""
     comparisons = views * settings.steps
     if settings.staged:
@@ -108,73 +108,17 @@ def _work(settings: Settings, views: int, points: int) -> tuple[int, int]:
     return comparisons, comparisons * points * (4 if settings.preset == "paper" else 1)
 
 
-def refine_batch(
-    scenes: Sequence[tuple[Any, Any]],
-    config: RefineConfig | None = None,
-    *,
-    progress: Progress | None = None,
-) -> list[RefineResult | TsoError]:
-    """Move many clouds, each until it agrees with its own masks: the results of `refine`.
+def compile_loops(missing_only: bool = False) -> None:
+    """Compile all loops that a refinement uses, and keep the machine code on disk.
 
-    Parameters
-    ----------
-    scenes : (points [N, 3], views) of each; the views are a `View` or a sequence of them.
-    progress : called after every cloud with (clouds done, clouds, mean loss of their results).
-
-    Clouds are spread over processes, one for each core, or as many as OMP_NUM_THREADS says; one
-    process on other systems than Linux. Ctrl-C ends the batch. Clouds at work get their best so
-    far, and clouds that had not begun get their start. The ``stop_reason`` of all of them is
-    "interrupted".
-
-    Returns
-    -------
-    For each scene its result, or the error that `refine` would have raised: a scene that cannot be
-    refined stops no other.
-
-    Raises
-    ------
-    InputError
-        The mode is not "points", the device is not there, or ``scenes`` are none.
+    With ``missing_only`` nothing is done if they are there.
     """
-    config = config or RefineConfig()
-    if not isinstance(scenes, Iterable):
-        raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
-    # A tensor on a GPU cannot be read in a forked process.
-    scenes = [
-        (as_numpy(scene[0]), *scene[1:]) if isinstance(scene, tuple) and scene else scene
-        for scene in scenes
-    ]
-    if config.mode != "points":
-        raise InputError(f"mode is {config.mode!r}, expected points for a batch")
-    # Modules for processes take a twentieth of a small refinement to import.
-    from .batch import Batch
-    from .workers import processes_for, spread, stop_flag
-
-    processes = processes_for(len(scenes))
-    batch = Batch(scenes, config, stop_flag(processes))
-    losses: list[float] = []
-    done = 0
-
-    def report(result: RefineResult | TsoError) -> None:
-        nonlocal done
-        done += 1
-        if isinstance(result, RefineResult):
-            losses.append(result.fit.loss_after)
-        if progress is not None:
-            progress(done, len(scenes), float(np.mean(losses)) if losses else np.nan)
-
-    seconds = len(scenes) * config.budget_seconds
-    with planned(*batch.work(_work), seconds), blas.one_thread():
-        return spread(batch.refine, len(scenes), processes, batch.interrupted, report)
-
-
-def compile_loops() -> None:
-    """Compile all loops that a refinement uses, and keep the machine code on disk."""
+    if missing_only and on_disk():
+        return
     mask = np.zeros((64, 64), np.float32)
     # Larger than the cloud, so that pixels look for their nearest points too.
     mask[4:60, 4:60] = 1.0
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (600, 3))
-    much = 1 << 60
-    with planned(much, much):
+    with decided(True):
         for preset in PRESETS:
             refine(points, mask, config=RefineConfig(steps=3, preset=preset))

@@ -1,68 +1,248 @@
-"""Scenes that are refined independently of one another."""
+"""Many scenes, each of which is refined by itself: `refine_each` and `refine_batch`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import signal
+import threading
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from ..errors import InputError, TsoError
+import numpy as np
+
+from ..cloud.cloud import as_numpy
+from ..errors import InputError, Interrupted, TsoError
 from ..geometry.view import View
-from ..optimisation.settings import Settings
+from ..kernels import blas
+from ..kernels.dispatch import decided, enough_to_load, planned, use_compiled
+from ..optimisation.loop import Progress
+from ..workers import Ended, Here, WorkerPool, cores, each
+from .api import compile_loops, work_of
 from .clock import Clock
 from .config import RefineConfig
 from .result import RefineResult
 from .run import run
 from .scene import as_scene, as_views
 
+# A process takes as long to start as this many small scenes take to refine.
+SCENES_TO_START = 8
+# Scenes that wait with an executor: few, as scenes are made while others are refined.
+AHEAD = 2
+
+Scene = tuple[Any, Any]
+"""Points [N, 3], and views: a `View` or a sequence of them."""
+
 
 @dataclass(frozen=True, eq=False)
-class Batch:
-    """Scenes (points, views); ``interrupted`` is an event that all processes see."""
-
-    scenes: list[tuple[Any, Any]]
+class _Job:
+    number: int
+    scene: Any
     config: RefineConfig
-    interrupted: Any
-
-    def work(self, work_of: Callable[[Settings, int, int], tuple[int, int]]) -> tuple[int, int]:
-        """The sum of the scenes' work; a scene that cannot be read counts as nothing."""
-        comparisons = points = 0
-        for scene in self.scenes:
-            try:
-                views = 1 if isinstance(scene[1], View) else len(scene[1])
-                of_scene = work_of(self.config.settings(views), views, len(scene[0]))
-            except (TypeError, LookupError):
-                continue
-            comparisons, points = comparisons + of_scene[0], points + of_scene[1]
-        return comparisons, points
-
-    def refine(self, number: int) -> RefineResult | TsoError:
-        """The result of the scene of that number, or the error that `refine` would have raised."""
-        while True:
-            try:
-                result = self._refined(number)
-            except TsoError as error:
-                return error
-            except KeyboardInterrupt:
-                self.interrupted.set()
-                continue
-            if result.fit.stop_reason == "interrupted":
-                self.interrupted.set()
-            return result
-
-    def _refined(self, number: int) -> RefineResult:
-        points, masks = _points_and_views(self.scenes[number], number)
-        clock = Clock(self.interrupted.is_set())
-        with clock.phase("prepare"):
-            scene = as_scene(points, as_views(masks), name=f"points of scene {number}")
-        return run(scene, self.config.settings(len(scene.read)), clock, None, self._pause)
-
-    def _pause(self, step: int, steps: int, loss: float) -> None:
-        if self.interrupted.is_set():
-            raise KeyboardInterrupt
+    compiled: bool  # decided here, so that every process does the same
 
 
-def _points_and_views(scene: Any, number: int) -> tuple[Any, Any]:
+def refine_each(
+    scenes: Iterable[Scene],
+    config: RefineConfig | None = None,
+    *,
+    executor: Executor | None = None,
+    window: int | None = None,
+) -> Iterator[tuple[int, RefineResult | TsoError]]:
+    """Refine many scenes, and yield the number of each with its result as it ends.
+
+    A scene that fails has its error in place of a result, and stops no other. If the process of a
+    scene dies, the scene is tried once more, and at last alone (`tso_cli.workers.each`).
+
+    Parameters
+    ----------
+    scenes : (points [N, 3], views) of each. They are taken a few at a time, so that a generator may
+        make them.
+    executor : does the work, in place of a process for each core. It must be able to pickle scenes;
+        that of dask is `client.get_executor()`.
+    window : scenes that are with the executor at once.  The default is two for each core.
+
+    Raises InputError if the mode is not "points".
+    """
+    yield from _each(scenes, _config_of(config), executor, window, lambda: False)
+
+
+def refine_batch(
+    scenes: Sequence[Scene],
+    config: RefineConfig | None = None,
+    *,
+    progress: Progress | None = None,
+    executor: Executor | None = None,
+) -> list[RefineResult | TsoError]:
+    """`refine_each` of a list of scenes, in their order.
+
+    Parameters
+    ----------
+    progress : called after every cloud with (clouds done, clouds, mean loss of their results).
+    executor : as in `refine_each`.
+
+    Ctrl-C ends the batch. Clouds at work get their best so far, with the ``stop_reason``
+    "interrupted". Clouds that had not begun have the error `Interrupted` in place of a result.
+
+    Raises InputError if the mode is not "points", or if ``scenes`` are none.
+    """
+    config = _config_of(config)
+    if not isinstance(scenes, Iterable):
+        raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
+    scenes = list(scenes)
+    results: dict[int, RefineResult | TsoError] = {}
+    losses: list[float] = []
+    stop = threading.Event()
+    for number, result in _each(scenes, config, executor, None, stop.is_set, stop.set):
+        results[number] = result
+        if isinstance(result, RefineResult):
+            losses.append(result.fit.loss_after)
+        try:
+            if progress is not None:
+                mean = float(np.mean(losses)) if losses else math.nan
+                progress(len(results), len(scenes), mean)
+        except KeyboardInterrupt:
+            stop.set()
+    return [results.get(number) or _not_begun(number) for number in range(len(scenes))]
+
+
+def _not_begun(number: int) -> Interrupted:
+    return Interrupted(f"scene {number}: interrupted before it began")
+
+
+def _config_of(config: RefineConfig | None) -> RefineConfig:
+    config = config or RefineConfig()
+    if config.mode != "points":
+        raise InputError(f"mode is {config.mode!r}, expected points for a batch")
+    return config
+
+
+def _each(
+    scenes: Iterable[Scene],
+    config: RefineConfig,
+    executor: Executor | None,
+    window: int | None,
+    stopping: Callable[[], bool],
+    stop: Callable[[], None] | None = None,
+) -> Iterator[tuple[int, RefineResult | TsoError]]:
+    """``stop`` is called at Ctrl-C, or None if Ctrl-C is the caller's."""
+    count = len(scenes) if isinstance(scenes, Sized) else None
+    processes = cores() if count is None else min(cores(), count // SCENES_TO_START)
+    compiled = _compiled(scenes, config, executor is not None or processes > 1)
+    # A tensor on a GPU cannot be read in another process.
+    jobs = (_Job(number, _on_cpu(one), config, compiled) for number, one in enumerate(scenes))
+    own = WorkerPool(processes) if executor is None and processes > 1 else None
+    used = executor or own or Here()
+    most = window or (AHEAD * max(processes, cores()) if executor or own else 1)
+    try:
+        with _on_ctrl_c(own, stop):
+            for ended in each(used, _refined, jobs, most, stopping=stopping):
+                result = _result_of(ended)
+                if stop is not None and _interrupted(result):
+                    stop()
+                if not isinstance(result, Interrupted):
+                    yield ended.job.number, result
+    finally:
+        if own is not None:
+            own.shutdown(wait=False)
+
+
+@contextmanager
+def _on_ctrl_c(pool: WorkerPool | None, stop: Callable[[], None] | None) -> Iterator[None]:
+    """Pass Ctrl-C on to the processes; without processes it reaches the scene at work anyway."""
+    main = threading.current_thread() is threading.main_thread()
+    if pool is None or stop is None or not main or signal.getsignal(signal.SIGINT) is None:
+        yield
+        return
+
+    def interrupt(number: int, frame: Any) -> None:
+        stop()
+        pool.interrupt()
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _interrupted(result: RefineResult | TsoError) -> bool:
+    if isinstance(result, RefineResult):
+        return result.fit.stop_reason == "interrupted"
+    return isinstance(result, Interrupted)
+
+
+def _result_of(ended: Ended[_Job]) -> RefineResult | TsoError:
+    """The result, whose warnings are given here, or the error as a `TsoError`."""
+    error, where = ended.error, f"scene {ended.job.number}"
+    if error is None:
+        result, caught = ended.result
+        for warning in caught:
+            warnings.warn(warning, stacklevel=2)
+        assert isinstance(result, RefineResult)
+        return result
+    if isinstance(error, TsoError):
+        return error
+    if isinstance(error, KeyboardInterrupt):
+        return _not_begun(ended.job.number)
+    deaths = f", {ended.deaths} times" if ended.deaths > 1 else ""
+    told = TsoError(f"{where}: {str(error) or type(error).__name__}{deaths}")
+    told.__cause__ = error
+    return told
+
+
+def _on_cpu(scene: Any) -> Any:
+    return (as_numpy(scene[0]), *scene[1:]) if isinstance(scene, tuple) and scene else scene
+
+
+def _compiled(scenes: Iterable[Scene], config: RefineConfig, processes: bool) -> bool:
+    """Whether the scenes are refined in compiled loops, which are compiled here if that pays."""
+    if isinstance(scenes, Sequence):
+        work, seconds = _work(scenes, config), len(scenes) * config.budget_seconds
+    else:  # nobody knows how many there are
+        work, seconds = enough_to_load(), math.inf
+    with planned(*work, seconds):
+        compiled = use_compiled()
+    if compiled and processes:
+        # Here, and not by every process at once.
+        compile_loops(missing_only=True)
+    return compiled
+
+
+def _work(scenes: Sequence[Scene], config: RefineConfig) -> tuple[int, int]:
+    """The sum of the scenes' work; a scene that cannot be read counts as nothing."""
+    comparisons = points = 0
+    for scene in scenes:
+        try:
+            views = 1 if isinstance(scene[1], View) else len(scene[1])
+            of_scene = work_of(config.settings(views), views, len(scene[0]))
+        except (TypeError, LookupError):
+            continue
+        comparisons, points = comparisons + of_scene[0], points + of_scene[1]
+    return comparisons, points
+
+
+def _refined(job: _Job) -> tuple[RefineResult, list[Warning]]:
+    """The result, and the warnings on the way, which may arise in another process."""
+    number = job.number
+    with warnings.catch_warnings(record=True) as caught, decided(job.compiled), blas.one_thread():
+        warnings.simplefilter("always", UserWarning)
+        try:
+            points, masks = _points_and_views(job.scene, number)
+            clock = Clock()
+            with clock.phase("prepare"):
+                scene = as_scene(points, as_views(masks), name=f"points of scene {number}")
+            result = run(scene, job.config.settings(len(scene.read)), clock)
+        except KeyboardInterrupt:
+            raise _not_begun(number) from None
+    texts = [warning.message for warning in caught if isinstance(warning.message, Warning)]
+    return result, texts
+
+
+def _points_and_views(scene: Any, number: int) -> Scene:
     try:
         points, views = scene
     except (TypeError, ValueError):

@@ -1,0 +1,6 @@
+"""Independent pieces of work in other processes, none of which can lose the work of another."""
+
+from .each import Ended, Here, each
+from .pool import WorkerDied, WorkerPool, cores
+
+__all__ = ["Ended", "Here", "WorkerDied", "WorkerPool", "cores", "each"]
