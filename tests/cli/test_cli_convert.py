@@ -34,13 +34,13 @@ def assert_same_cameras(found, expected):
 def test_cameras_of_any_program_become_those_of_another(tso, tmp_path, source, format):
     target = tmp_path / ("model" if format == "colmap" else "cameras.json")
     size = ("--size", "256x256") if source == "bop" else ()
-    run = tso("convert", FILES / source, target, "--camera-format", format, *size)
+    run = tso("convert", FILES / source, target, "--to", format, *size)
     assert run.code == 0, run.err
     assert_same_cameras(cameras_of(target), cameras_of(FILES / source))
     names = [view.label for view in read_partial_cameras(FILES / source)[0]]
     if source == "colmap":
         assert [view.label for view in read_partial_cameras(target)[0]] == names
-    again = tso("convert", FILES / source, target, "--camera-format", format, *size)
+    again = tso("convert", FILES / source, target, "--to", format, *size)
     assert again.code == 2
     assert "--overwrite" in again.err
 
@@ -49,7 +49,7 @@ def test_the_distortion_of_a_lens_is_converted_or_refused(tso, tmp_path):
     (tmp_path / "cameras.txt").write_text("1 OPENCV 640 480 600 610 320 240 0.1 -0.02 1e-3 2e-3\n")
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 2 1 a.png\n\n")
     for format, name in (("transforms", "t.json"), ("colmap", "model")):
-        assert tso("convert", tmp_path, tmp_path / name, "--camera-format", format).code == 0
+        assert tso("convert", tmp_path, tmp_path / name, "--to", format).code == 0
         (view,), _ = read_partial_cameras(tmp_path / name)
         lens = view.distortion
         assert lens.model == "radial-tangential"
@@ -57,7 +57,7 @@ def test_the_distortion_of_a_lens_is_converted_or_refused(tso, tmp_path):
         assert not any(lens.coefficients[4:])
     refusal = tso("convert", tmp_path, tmp_path / "own.json").refusal
     assert "has lens distortion" in refusal
-    assert "--camera-format colmap" in refusal
+    assert "--to colmap" in refusal
     assert Distortion("radial-tangential", (0.0, 0.0)).none
 
 
