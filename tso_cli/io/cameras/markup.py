@@ -74,7 +74,8 @@ def _of_xml(text: str, path: Path) -> list[Any]:
     if re.search(r"<!(DOCTYPE|ENTITY)", text):
         raise InputError(f"{path}: declares a document type, expected plain XML")
     try:
-        root = ElementTree.fromstring(text.encode())
+        # The encoding that the file declares has no effect on text, and may be unknown.
+        root = ElementTree.fromstring(text.encode(), ElementTree.XMLParser(encoding="utf-8"))
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not XML ({reason(error)})") from None
     if root.tag != "opencv_storage":
