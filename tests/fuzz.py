@@ -6,8 +6,10 @@ GiB; the first file that makes it do anything else is left as crash-*. Without R
 are listed.
 """
 
+import pkgutil
 import sys
 import tempfile
+from importlib import import_module
 from pathlib import Path
 
 from tests.corruption import is_read
@@ -29,6 +31,14 @@ READERS = {
     "grid.npy": ("io.shapes:grid_surface", ".npy"),
     "grid.binvox": ("io.shapes:grid_surface", ".binvox"),
     "camera": ("io.cameras:read_cameras", ".json"),
+    **{
+        f"camera{suffix}": ("tests.fuzz:cameras", suffix)
+        for suffix in (".json", ".yaml", ".xml", ".npz", ".npy", ".txt", ".glb", ".log")
+    },
+    # The other file of the model is a good one.
+    "camera/cameras.bin": ("tests.fuzz:model", "/cameras.bin"),
+    "camera/images.bin": ("tests.fuzz:model", "/images.bin"),
+    "camera/images.txt": ("tests.fuzz:model", "/images.txt"),
     "checkpoint": ("io.checkpoints:load_network", ".safetensors"),
     "state": ("tests.fuzz:state", ".safetensors"),
     "log": ("io.logs:read_log", ".jsonl"),
@@ -54,6 +64,24 @@ def faces(path):
     cloud.colours()
 
 
+def cameras(path):
+    """The cameras in a file of any format, as far as it says them."""
+    from tso_cli.io.cameras import read_partial_cameras
+
+    for view in read_partial_cameras(path)[0]:
+        if view.intrinsics is not None and view.R is not None:
+            view.camera(path, *(view.size or (64, 64)))
+
+
+def model(path):
+    """The cameras of a COLMAP model, one of whose files is ``path``."""
+    for good in (Path(__file__).with_name("io") / "files/colmap/sparse/0").iterdir():
+        other = path.with_name(good.name)
+        if good.stem != path.stem and not other.exists():
+            other.write_bytes(good.read_bytes())
+    cameras(path)
+
+
 def state(path):
     """The training state in a file."""
     from tso_cli.io.checkpoints import load_state, read_metadata
@@ -71,11 +99,14 @@ def main(name, seconds, *corpus):
         import PIL.TiffImagePlugin  # noqa: F401
         import trimesh  # noqa: F401
 
-        from tso_cli.io import checkpoints, clouds, images  # noqa: F401
+        from tso_cli.io import cameras, checkpoints, clouds, images  # noqa: F401
 
+        for module in pkgutil.iter_modules(cameras.__path__):
+            import_module(f"{cameras.__name__}.{module.name}")
         read, suffix = reader(name)
     images.PIXEL_LIMIT = 1 << 24  # a picture takes up to 16 bytes for each pixel
-    path = Path(tempfile.mkdtemp()) / f"victim{suffix}"
+    path = Path(f"{tempfile.mkdtemp()}/victim{suffix}")
+    path.parent.mkdir(exist_ok=True)
 
     def test(data):
         path.write_bytes(data)

@@ -1,6 +1,7 @@
 """`tso convert` and `tso mask`."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -34,13 +35,13 @@ def assert_same_cameras(found, expected):
 def test_cameras_of_any_program_become_those_of_another(tso, tmp_path, source, format):
     target = tmp_path / ("model" if format == "colmap" else "cameras.json")
     size = ("--size", "256x256") if source == "bop" else ()
-    run = tso("convert", FILES / source, target, "--camera-format", format, *size)
+    run = tso("convert", FILES / source, target, "--to", format, *size)
     assert run.code == 0, run.err
     assert_same_cameras(cameras_of(target), cameras_of(FILES / source))
     names = [view.label for view in read_partial_cameras(FILES / source)[0]]
     if source == "colmap":
         assert [view.label for view in read_partial_cameras(target)[0]] == names
-    again = tso("convert", FILES / source, target, "--camera-format", format, *size)
+    again = tso("convert", FILES / source, target, "--to", format, *size)
     assert again.code == 2
     assert "--overwrite" in again.err
 
@@ -49,7 +50,7 @@ def test_the_distortion_of_a_lens_is_converted_or_refused(tso, tmp_path):
     (tmp_path / "cameras.txt").write_text("1 OPENCV 640 480 600 610 320 240 0.1 -0.02 1e-3 2e-3\n")
     (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 2 1 a.png\n\n")
     for format, name in (("transforms", "t.json"), ("colmap", "model")):
-        assert tso("convert", tmp_path, tmp_path / name, "--camera-format", format).code == 0
+        assert tso("convert", tmp_path, tmp_path / name, "--to", format).code == 0
         (view,), _ = read_partial_cameras(tmp_path / name)
         lens = view.distortion
         assert lens.model == "radial-tangential"
@@ -57,7 +58,7 @@ def test_the_distortion_of_a_lens_is_converted_or_refused(tso, tmp_path):
         assert not any(lens.coefficients[4:])
     refusal = tso("convert", tmp_path, tmp_path / "own.json").refusal
     assert "has lens distortion" in refusal
-    assert "--camera-format colmap" in refusal
+    assert "--to colmap" in refusal
     assert Distortion("radial-tangential", (0.0, 0.0)).none
 
 
@@ -68,6 +69,75 @@ def test_cameras_without_a_size_ask_for_it(tso, tmp_path):
     assert run.out.endswith("1 camera of " + str(FILES / "cameras/krt.npz")
                             + " (K, R, t, P or 4x4 matrices)\n")  # fmt: skip
     assert "expected WIDTHxHEIGHT" in tso("convert", "a", "c.json", "--size", "256").err
+
+
+def names_in(target):
+    """The names of the pictures in a COLMAP model or a transforms.json."""
+    if target.suffix == ".json":
+        return [frame["file_path"] for frame in json.loads(target.read_text())["frames"]]
+    lines = (target / "images.txt").read_text().splitlines()
+    return [line.split(maxsplit=9)[9] for line in lines[1::2]]
+
+
+def test_pictures_are_named_by_paths_that_lead_from_the_new_file_to_them(tso, tmp_path):
+    shutil.copytree(FILES / "nerfstudio", tmp_path / "scene")
+    (tmp_path / "out").mkdir()
+    for to, name in (("transforms", "out/t.json"), ("colmap", "out/model")):
+        target = tmp_path / name
+        assert tso("convert", tmp_path / "scene", target, "--to", to).code == 0
+        folder = target if to == "colmap" else target.parent
+        names = names_in(target)
+        assert [Path(name).name for name in names] == [f"frame_0000{i}.png" for i in range(1, 5)]
+        assert all((folder / name).is_file() for name in names)
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("bop", "000002_000000.png"),
+        ("blender/scene.glb", "Cam.png"),
+        ("cameras/open3d.json", "view_0.png"),
+        ("colmap", "002.png"),
+    ],
+)
+def test_a_view_without_a_picture_has_a_name_that_a_file_may_have(tso, tmp_path, source, expected):
+    for to, name in (("transforms", "t.json"), ("colmap", "model")):
+        target = tmp_path / name
+        size = () if source in ("cameras/open3d.json", "colmap") else ("--size", "256x256")
+        assert tso("convert", FILES / source, target, "--to", to, *size).code == 0
+        assert expected in names_in(target)
+
+
+def test_two_pictures_of_one_name_are_refused_for_colmap(tso, tmp_path):
+    view = json.loads((FILES / "cameras/own.json").read_text()) | {"image": "a.png"}
+    (tmp_path / "c.json").write_text(json.dumps([view, view]))
+    refusal = tso("convert", tmp_path / "c.json", tmp_path / "model", "--to", "colmap").refusal
+    assert "a.png: 2 views have this name, expected one" in refusal
+    assert not (tmp_path / "model").exists()
+
+
+def test_the_format_of_the_first_file_may_be_named_as_in_refine(tso, tmp_path):
+    stored = np.load(FILES / "cameras/camera.npz")
+    np.savez(tmp_path / "c.npz", R=stored["R"], T=stored["T"])
+    source = (tmp_path / "c.npz", tmp_path / "c.json", "--size", "256x256")
+    assert "differ between OpenCV and PyTorch3D" in tso("convert", *source).refusal
+    refusal = tso("convert", *source, "--camera-format", "pytorch3d").refusal
+    assert "has a pose but no focal length" in refusal
+    refusal = tso("convert", "a.ply", "b.ply", "--camera-format", "bop").refusal
+    assert "--camera-format is for cameras" in refusal
+    assert tso("convert", "--camera-format", "list").out.startswith("tso ")
+
+
+def test_cameras_that_do_not_exist_and_outputs_of_another_suffix_are_refused(tso, tmp_path):
+    for name in ("nothing", "nothing.json", "nothing/sparse"):
+        refusal = tso("convert", tmp_path / name, tmp_path / "c.json").refusal
+        assert "does not exist, expected a camera file" in refusal
+    for to in ("tso", "transforms"):
+        run = tso("convert", FILES / "cameras/own.json", tmp_path / "c.ply", "--to", to)
+        assert "the suffix is '.ply', expected .json" in run.refusal
+    run = tso("convert", "a", "c.json", "--size", "100000x100000")
+    assert run.code == 2
+    assert "expected at most 100,000,000 pixels" in run.err
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".npy", ".xyz", ".glb", ".obj", ".off", ".stl"])

@@ -135,7 +135,7 @@ BAD = {
     "not JSON": ("{'width': 1}", "is not JSON .*line 1 column 2"),
     "cut": (json.dumps(GOOD)[:-30], "is not JSON"),
     "binary": (b"\x80\x00\xff", "is not text .*codec"),
-    "an empty list": ([], "holds list of 0, expected an object"),
+    "an empty list": ([], "holds a list of 0, expected an object"),
     "nested deep": ("[" * 200_000, "nested too deep"),
     "key twice": ('{"K": 1, "K": 2}', "the key 'K' appears twice"),
     "endless digits": ('{"width": ' + "9" * 5000 + "}", "is not JSON"),
@@ -153,9 +153,9 @@ BAD = {
         changed(width=10**6, height=10**6), "1000000x1000000, expected at most 100,000,000 pixels",
     ),
     "K of 8": (changed(K=[1, 0, 0, 0, 1, 0, 0, 0]), r"K is an array \[8\], expected 3x3 or \[9\]"),
-    "K ragged": (changed(K=[[1, 0, 0], [0, 1], [0, 0, 1]]), r"K is list of 3, expected 3x3 or"),
+    "K ragged": (changed(K=[[1, 0, 0], [0, 1], [0, 0, 1]]), r"K is a list of 3, expected 3x3 or"),
     "K of text": (
-        changed(K=[["1", 0, 0], [0, 1, 0], [0, 0, 1]]), r"K is list of 3, expected 3x3 or",
+        changed(K=[["1", 0, 0], [0, 1, 0], [0, 0, 1]]), r"K is a list of 3, expected 3x3 or",
     ),
     "K NaN": (
         changed(K=[[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]]),
@@ -182,7 +182,7 @@ BAD = {
     "views in a view": (
         {"views": [{"views": [GOOD]}]}, r"the key views\[0\]\.views is out of place",
     ),
-    "no views": ({"views": []}, "views is list of 0, expected a list of at least one"),
+    "no views": ({"views": []}, "views is a list of 0, expected a list of at least one"),
     "views of text": ({"views": "ab"}, "views is 'ab', expected a list"),
     "a view of text": ({"views": [GOOD, "ab"]}, r"views\[1\] is 'ab', expected an object"),
     "a bad view": ({"views": [GOOD, without("t")]}, r"views\[1\]\.t is missing"),

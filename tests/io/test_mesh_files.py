@@ -164,7 +164,10 @@ def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
             "its meshes use Draco, which tso does not read; export it without",
         ),
         ({"meshes": []}, "expected the index of a mesh"),
-        ({"nodes": [{"children": [1]}, {"children": [0]}], "scenes": []}, "a circle"),
+        (
+            {"nodes": [{"children": [1]}, {"children": [0]}], "scenes": []},
+            "is below itself, expected nodes as a tree",
+        ),
         ({"bufferViews": []}, "expected the index of a view"),
     ],
 )

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from ..errors import InputError
-from ..io.cameras import CameraRecord, camera_text, read_partial_cameras, words_of
+from ..io.cameras import CameraRecord, camera_text, is_there, read_partial_cameras, words_of
 from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
 from ..io.clouds import NEW, read_cloud, write_cloud
 from ..io.output import check_output, write_file
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from ..io.cameras import PartialCamera
 
 FORMATS = ("tso", "colmap", "transforms")
+PICTURE = re.compile(r"\.(png|jpe?g|tiff?|webp|bmp)$", re.IGNORECASE)
 MESHES = (".glb", ".obj", ".off", ".stl")
 
 
@@ -31,28 +34,34 @@ class Size(click.ParamType):
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[int, int]:
+        from ..io.images import PIXEL_LIMIT
+
         sides = str(value).split("x")
         if len(sides) != 2 or not all(side.isdecimal() and int(side) > 0 for side in sides):
             self.fail(f"{value!r}, expected WIDTHxHEIGHT in pixels, such as 640x480.", param, ctx)
-        return int(sides[0]), int(sides[1])
+        width, height = map(int, sides)
+        if width * height > PIXEL_LIMIT:
+            self.fail(f"{value!r}, expected at most {PIXEL_LIMIT:,} pixels.", param, ctx)
+        return width, height
 
 
 @click.command("convert")
 @click.argument("source", metavar="A", type=PATH)
 @click.argument("target", metavar="B", type=PATH)
 @options.option(
-    "--camera-format",
+    "--to",
     "Convert cameras, to this format: tso's own, a COLMAP model (a folder of text files), or a "
     "transforms.json.",
     type=click.Choice(FORMATS),
 )
+@options.camera_format
 @options.option("--size", "Size of the pictures, if A does not say it.", type=Size())
-@options.option("--object", "Object of a BOP scene that has several.", "object_id",
-                type=options.Whole(0), metavar="ID")  # fmt: skip
+@options.object_id
 @options.overwrite
 def command(
     source: Path,
     target: Path,
+    to: str | None,
     camera_format: str | None,
     size: tuple[int, int] | None,
     object_id: int | None,
@@ -64,15 +73,18 @@ def command(
     tso convert scan.pcd scan.ply
     tso convert model.obj model.glb
     tso convert sparse/0 cameras.json
-    tso convert cameras.json model --camera-format colmap
+    tso convert cameras.json model --to colmap
 
-    Cameras are converted if B is a .json file, or with --camera-format. Otherwise the suffix of B
+    Cameras are converted if B is a .json file, or with --to. Otherwise the suffix of B
     says how the cloud or mesh is written: .ply, .npy, .xyz, or a mesh as .glb, .obj, .off or .stl.
     """
-    if camera_format is not None or target.suffix.lower() == ".json":
-        _convert_cameras(source, target, camera_format or "tso", size, object_id, overwrite)
+    if to is not None or target.suffix.lower() == ".json":
+        read = read_partial_cameras(source, camera_format, object_id)
+        _convert_cameras(source, read, target, to or "tso", size, overwrite)
         return
-    for name, value in (("--size", size), ("--object", object_id)):
+    for name, value in (
+        ("--camera-format", camera_format), ("--size", size), ("--object", object_id)
+    ):  # fmt: skip
         if value is not None:
             raise InputError(f"{name} is for cameras, found {target} as a cloud or mesh to write")
     _convert_cloud(source, target, overwrite)
@@ -104,32 +116,33 @@ def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
 
 def _convert_cameras(
     source: Path,
+    read: tuple[list[PartialCamera], str],
     target: Path,
-    camera_format: str,
+    to: str,
     size: tuple[int, int] | None,
-    object_id: int | None,
     overwrite: bool,
 ) -> None:
-    views, found = read_partial_cameras(source, object_id=object_id)
+    views, found = read
     cameras = [_complete(view, source, size) for view in views]
-    names = [view.label or f"{number}.png" for number, view in enumerate(views)]
+    folder = target if to == "colmap" else target.parent
+    names = [_picture(view, number, folder) for number, view in enumerate(views)]
     lenses = [view.distortion for view in views]
     named = list(zip(names, cameras, lenses, strict=True))
-    if camera_format == "colmap":
+    if to == "colmap":
         folder = folder_of(target, overwrite)
         texts = colmap_texts(named)
         folder.mkdir(exist_ok=True)
         for name, text in texts.items():
             write_file(folder / name, text.encode(), overwrite=True)
-    elif camera_format == "transforms":
-        check_output(target, overwrite)
+    elif to == "transforms":
+        options.require_output(target, ".json", overwrite)
         write_file(target, transforms_text(named).encode(), overwrite)
     else:
-        check_output(target, overwrite)
+        options.require_output(target, ".json", overwrite)
         if any(lens and not lens.none for lens in lenses):
             raise InputError(
                 f"{source}: has lens distortion, which tso's own format has no place for; use "
-                f"{source} itself, or --camera-format colmap"
+                f"{source} itself, or --to colmap"
             )
         records = [
             CameraRecord(camera, view.mask, view.image)
@@ -138,6 +151,17 @@ def _convert_cameras(
         write_file(target, camera_text(target, records).encode(), overwrite)
     count = f"{len(views)} camera{'s' if len(views) > 1 else ''}"
     click.echo(f"{target}: {count} of {source} ({words_of(found)})")
+
+
+def _picture(view: PartialCamera, number: int, folder: Path) -> str:
+    """The path of a view's picture, relative to ``folder``; else a name that a file may have."""
+    file = view.image or view.mask
+    if view.names and (file is None or not is_there(file)):
+        name = view.names[0].replace("\\", "/")
+        return name if PICTURE.search(name) else re.sub(r"[^\w.-]+", "_", name) + ".png"
+    if file is None:
+        return f"view_{number}.png"
+    return Path(os.path.relpath(os.path.realpath(file), os.path.realpath(folder))).as_posix()
 
 
 def _complete(view: PartialCamera, source: Path, size: tuple[int, int] | None) -> Camera:

@@ -231,6 +231,29 @@ seed = option(
     "--seed", "Seed of all random numbers.", type=Whole(0, 2**63 - 1), default=0, show_default=True
 )
 as_json = flag("--json", "Print one JSON document on stdout.", "as_json")
+
+
+def _formats() -> dict[str, str]:
+    """The table that `--camera-format list` prints."""
+    from ..io.cameras import FORMATS
+
+    return {name: words for name, (words, _) in FORMATS.items()}
+
+
+camera_format = option(
+    "--camera-format",
+    "Format of the camera file, if the content does not tell; `list` lists all.",
+    metavar="NAME",
+    is_eager=True,
+    callback=listing(_formats),
+)
+object_id = option(
+    "--object",
+    "Object of a BOP scene that has several.",
+    "object_id",
+    type=Whole(0),
+    metavar="ID",
+)
 label = option(
     "--label",
     "Label of the object in masks that show several; R,G,B in coloured ones.",

@@ -41,13 +41,6 @@ def _hypotheses() -> dict[str, str]:
     return {name: hypothesis.says for name, hypothesis in HYPOTHESES.items()}
 
 
-def _formats() -> dict[str, str]:
-    """The table that `--camera-format list` prints."""
-    from ..io.cameras import FORMATS
-
-    return {name: words for name, (words, _) in FORMATS.items()}
-
-
 @click.command("refine", cls=options.Command, headings=HEADINGS, brief=BRIEF)
 @click.argument("source", type=PATH)
 @click.argument("masks", metavar="[MASK]...", nargs=-1, type=PATH)
@@ -131,26 +124,14 @@ def _formats() -> dict[str, str]:
     "mask.  [default: MASKSTEM.camera.json, camera.json, cameras.json or transforms.json next to "
     "the mask, else a canonical camera]",
 )
-@click.option(
-    "--camera-format",
-    metavar="NAME",
-    is_eager=True,
-    callback=options.listing(_formats),
-    help="Format of the camera file, if the content does not tell; `list` lists all.",
-)
+@options.camera_format
 @click.option(
     "--intrinsics",
     type=PATH,
     help="Camera file whose K is used: with a --camera that holds poses alone, or with --camera "
     "fit.",
 )
-@click.option(
-    "--object",
-    "object_id",
-    type=options.Whole(0),
-    metavar="ID",
-    help="Object of a BOP scene that has several.",
-)
+@options.object_id
 @options.flag("--refine-camera", "First correct the cameras, close to the given ones; points mode.")
 @click.option("--write-camera", type=PATH, help="Write the fitted or refined cameras, .json.")
 @click.option(

@@ -24,7 +24,7 @@ def _names(data: bytes, path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError) as error:
+    except Exception as error:  # as in `_arrays`
         raise InputError(f"{path}: is a damaged archive ({reason(error)})") from None
 
 

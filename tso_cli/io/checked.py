@@ -66,7 +66,7 @@ class Checked:
 def kind(value: Any) -> str:
     """``value`` as a message quotes it."""
     if isinstance(value, (list, dict)):
-        return ("list" if isinstance(value, list) else "object") + f" of {len(value)}"
+        return ("a list" if isinstance(value, list) else "an object") + f" of {len(value)}"
     return shown(value)
 
 

@@ -79,7 +79,9 @@ def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:
                 break
             at = parent[at]
             if at in chain:
-                raise checked.error("nodes", "a circle", "a tree")
+                raise InputError(
+                    f"{checked.path}: the node {at} is below itself, expected nodes as a tree"
+                )
         for one in reversed(chain):
             above = places.get(parent.get(one, -1))
             places[one] = local[one] if above is None else above @ local[one]

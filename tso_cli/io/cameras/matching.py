@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ...errors import InputError
+from ..reading import plain
 from .record import PartialCamera
 
 # Endings that files of pictures and masks have; a mask may have several, as in 0001.jpg.png.
@@ -59,6 +60,14 @@ def paired(
 
 
 def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path]) -> InputError:
+    for mask in masks:
+        alike = [view for view in views if _same_stem(view, mask)]
+        if len(alike) > 1:
+            fitting = " and ".join(_end_of(_names_of(view)[0]) for view in alike[:2])
+            return InputError(
+                f"{path}: the name of the mask {mask} is ambiguous: it fits {len(alike)} views, "
+                f"{fitting}, expected one; put it into a folder named like that of its picture"
+            )
     names = [view.label for view in views[:_LISTED]]
     more = ", ..." if len(views) > _LISTED else ""
     listed = f"{', '.join(names)}{more}"
@@ -71,6 +80,11 @@ def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path])
         f"{path}: holds {len(views)} view{'s' if len(views) > 1 else ''} ({listed}), found "
         f"{len(masks)} masks; expected as many, or masks named like the pictures of the views"
     )
+
+
+def _end_of(name: str) -> str:
+    """A name with its folder, by which views of the same name differ."""
+    return plain("/".join(name.replace("\\", "/").split("/")[-2:]))
 
 
 def names_mask(view: PartialCamera, mask: Path) -> bool:

@@ -7,13 +7,21 @@ import numpy as np
 from ...errors import InputError
 from ...geometry.arrays import Array
 
+# How far M M^T may be from 1 if M = P[:, :3] is taken for a rotation.
+_ROTATION_TOLERANCE = 1e-3
+
 
 def decomposed(P: Array) -> tuple[Array, Array, Array]:
     """K, R and t of the projection matrix ``P`` [3, 4], K with a positive diagonal.
 
-    Raises InputError if P is no perspective camera.
+    Raises InputError if P is no perspective camera, or [R | t]: a focal length of 1 px has no use.
     """
     M = P[:, :3]
+    if np.abs(M @ M.T - np.eye(3)).max() <= _ROTATION_TOLERANCE:
+        raise InputError(
+            "P looks like [R | t]: its left 3x3 is a rotation, expected K [R | t]; name it E "
+            "(world to camera) or c2w in a .json or .npz file, and give K with it"
+        )
     if abs(np.linalg.det(M)) <= 1e-12 * max(float(np.abs(M).max()) ** 3, 1e-300):
         raise InputError("P is singular, expected K [R t] of a perspective camera")
     P = P * np.sign(np.linalg.det(M))

@@ -7,6 +7,7 @@ object at place G of picture N is called NNNNNN_GGGGGG.png.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from ...errors import InputError
@@ -14,7 +15,7 @@ from ...geometry.arrays import Array
 from ..checked import kind
 from ..reading import plain
 from .record import PartialCamera, of_pixels
-from .source import CameraSource
+from .source import CameraSource, has_keys
 
 MOST_LISTED = 9  # objects that a message names
 CAMERAS, POSES = "scene_camera.json", "scene_gt.json"
@@ -25,12 +26,21 @@ def recognises(source: CameraSource) -> bool:
         return (source.path / CAMERAS).is_file()
     document = source.json
     first = next(iter(document.values()), None) if isinstance(document, dict) else None
-    return isinstance(first, dict) and "cam_K" in first
+    return (isinstance(first, dict) and "cam_K" in first) or _is_poses(first)
+
+
+def _is_poses(first: Any) -> bool:
+    """Whether ``first`` is the first value of a ``scene_gt.json``."""
+    return isinstance(first, list) and bool(first) and has_keys(first[0], {"cam_R_m2c", "obj_id"})
 
 
 def read(source: CameraSource, object_id: int | None = None) -> list[PartialCamera]:
     if source.is_folder:
         source = CameraSource(source.path / CAMERAS)
+    if isinstance(source.json, dict) and _is_poses(next(iter(source.json.values()), None)):
+        raise InputError(
+            f"{source.path}: holds the poses of objects without K, expected {CAMERAS} or its folder"
+        )
     poses_file = source.path.with_name(POSES)
     poses = CameraSource(poses_file) if poses_file.is_file() else None
     if poses is None and object_id is not None:
@@ -62,8 +72,12 @@ def read(source: CameraSource, object_id: int | None = None) -> list[PartialCame
             # The mask names picture and place; a picture with one such object names it too.
             names = (f"{padded}_{place:06d}", padded)
             views.append(PartialCamera(f"picture {number}", of_pixels(K, None), R, t, names=names))
-    if not views:
-        raise InputError(f"{poses_file}: no picture shows object {object_id}, expected `object` ID")
+    if not views and poses is not None:
+        listed = _listed(_objects(poses))
+        raise InputError(
+            f"{poses_file}: no picture shows object {object_id}, expected one of {listed}: "
+            "`object` ID"
+        )
     return views
 
 
@@ -74,20 +88,32 @@ def _entries(poses: CameraSource, number: str) -> list[dict[str, Any]]:
     return entries
 
 
-def _only_object(poses: CameraSource) -> Any:
-    """The object of a scene that has only one."""
+def _objects(poses: CameraSource) -> list[Any]:
+    """The objects of a scene, in the order of their numbers."""
     if not isinstance(poses.json, dict):
         raise poses.error("the document", kind(poses.json), "the poses of each picture")
-    found = sorted(
-        {str(entry.get("obj_id")): entry.get("obj_id") for number in poses.json
-         for entry in _entries(poses, number)}.items()
-    )  # fmt: skip
+    found = {
+        str(entry.get("obj_id")): entry.get("obj_id")
+        for number in poses.json
+        for entry in _entries(poses, number)
+    }
+    return sorted(found.values(), key=lambda one: one if isinstance(one, int) else math.inf)
+
+
+def _listed(objects: list[Any]) -> str:
+    names = [plain(str(one)) for one in objects[:MOST_LISTED]]
+    return ", ".join(names) + (", ..." if len(objects) > MOST_LISTED else "") or "none"
+
+
+def _only_object(poses: CameraSource) -> Any:
+    """The object of a scene that has only one."""
+    found = _objects(poses)
     if len(found) != 1:
-        names = ", ".join(plain(name) for name, _ in found[:MOST_LISTED]) or "none"
         raise InputError(
-            f"{poses.path}: holds the objects {names}, expected one; choose it: `object` ID"
+            f"{poses.path}: holds the objects {_listed(found)}, expected one; choose it: "
+            "`object` ID"
         )
-    return found[0][1]
+    return found[0]
 
 
 def _pose(

@@ -1,4 +1,6 @@
-"""A COLMAP model: a folder with ``cameras`` and ``images``, as .txt or .bin; or ``cameras.txt``.
+"""A COLMAP model: a folder with ``cameras`` and ``images``, each as .txt or .bin; or one of them.
+
+A file stands for its folder. ``cameras.txt`` or ``cameras.bin`` alone gives K.
 
 COLMAP has the axes and the pose of OpenCV. Its pixel centres lie at halves.
 """
@@ -16,9 +18,8 @@ from ...geometry.arrays import Array
 from ...geometry.distortion import Distortion
 from ...geometry.rotations import from_quaternion
 from ..reading import plain, shown
-from .own import relative_to
-from .record import PartialCamera, matrix_of, of_pixels
-from .source import CameraSource
+from .record import PartialCamera, is_there, matrix_of, of_pixels
+from .source import COLMAP_FILES, CameraSource
 
 _BELOW = ("", "sparse/0", "sparse", "colmap/sparse/0")  # where a model may lie in a folder
 # Number, name and how many parameters, of the models in COLMAP's models.h.
@@ -45,38 +46,55 @@ class _Lens(NamedTuple):
     distortion: Distortion
 
 
+class _Model(NamedTuple):
+    """The files of a model."""
+
+    cameras: Path
+    images: Path
+
+
 def recognises(source: CameraSource) -> bool:
     if source.is_folder:
         return _model_in(source.path) is not None
+    if source.path.name in COLMAP_FILES:
+        return True
+    if source.container != "text":
+        return False
     first = source.words[0] if source.words else []
     return len(first) >= 7 and first[0].isdecimal() and first[1] in _COUNTS
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
-    if not source.is_folder:
-        # cameras.txt alone; its folder has the poses, if there are any.
-        if source.path.with_name("images.txt").is_file():
-            return _from_text(source.path.parent)
-        lenses = _lenses_of_text(source)
-        return [_view(source, f"camera {number}", lens, None, None, None)
-                for number, lens in lenses.items()]  # fmt: skip
-    folder = _model_in(source.path)
-    if folder is None:
+    path, model = source.path, None
+    if source.is_folder:
+        model = _model_in(path)
+    elif path.name in COLMAP_FILES:
+        model = _model_in(path.parent, ("",))
+    if model is not None:
+        binary = model.images.suffix == ".bin"
+        return _images_of_binary(model) if binary else _images_of_text(model)
+    if source.is_folder:
         raise InputError(
-            f"{source.path}: holds no COLMAP model, expected cameras and images (.bin or .txt) in "
-            "it or in sparse/0"
+            f"{path}: holds no COLMAP model, expected cameras and images (.bin or .txt) in it or "
+            "in sparse/0"
         )
-    if (folder / "cameras.bin").is_file():
-        return _from_binary(folder)
-    return _from_text(folder)
+    if path.name in COLMAP_FILES and path.stem != "cameras":
+        raise InputError(
+            f"{path}: is a part of a COLMAP model, expected its folder with cameras and images"
+        )
+    # No images: K alone.
+    return [_view(source, f"camera {number}", lens, None, None, None)
+            for number, lens in _lenses(path).items()]  # fmt: skip
 
 
-def _model_in(folder: Path) -> Path | None:
-    for below in _BELOW:
-        for suffix in (".bin", ".txt"):
-            names = [folder / below / f"{name}{suffix}" for name in ("cameras", "images")]
-            if all(name.is_file() for name in names):
-                return folder / below
+def _model_in(folder: Path, places: tuple[str, ...] = _BELOW) -> _Model | None:
+    """The files of the model in one of the ``places``; COLMAP too reads binary ones first."""
+    pairs = [(".bin", ".bin"), (".txt", ".txt"), (".bin", ".txt"), (".txt", ".bin")]
+    for below in places:
+        for cameras, images in pairs:
+            model = _Model(folder / below / f"cameras{cameras}", folder / below / f"images{images}")
+            if all(file.is_file() for file in model):
+                return model
     return None
 
 
@@ -90,9 +108,20 @@ def _view(
 ) -> PartialCamera:
     R = None if quaternion is None else _rotation(source, where, quaternion)
     shift = None if t is None else source.matrix(f"{where}: t", t, (3,))
-    image = relative_to(source.path, name) if name else None
-    K = of_pixels(lens.K, lens.size)
-    return PartialCamera(where, K, R, shift, lens.size, distortion=lens.distortion, image=image)
+    K, image = of_pixels(lens.K, lens.size), None
+    names: tuple[str, ...] = ()
+    if name and min(name) >= " ":
+        image, names = _picture(source.path.parent, name), (name,)
+    return PartialCamera(
+        where, K, R, shift, lens.size, distortion=lens.distortion, image=image, names=names
+    )
+
+
+def _picture(folder: Path, name: str) -> Path:
+    """The file of a picture, whose name is relative to a folder that the model does not say."""
+    plain_name = name.replace("\\", "/")
+    places = (folder / above / "images" / plain_name for above in ("", "..", "../.."))
+    return next((file for file in places if is_there(file)), folder / plain_name)
 
 
 def _rotation(source: CameraSource, where: str, quaternion: list[float]) -> Array:
@@ -129,11 +158,16 @@ def _require_known(source: CameraSource, where: str, model: str) -> None:
         )
 
 
-def _lenses_of_text(source: CameraSource) -> dict[str, _Lens]:
-    lenses = {}
+def _lenses(path: Path) -> dict[int, _Lens]:
+    """Number of a camera -> its row."""
+    return _lenses_of_binary(path) if path.suffix == ".bin" else _lenses_of_text(path)
+
+
+def _lenses_of_text(path: Path) -> dict[int, _Lens]:
+    source, lenses = CameraSource(path), {}
     for words in source.words:
         try:
-            number, model, *values = words
+            number, model, *values = int(words[0]), *words[1:]
             width, height, *parameters = map(float, values)
         except ValueError:
             raise source.error(
@@ -141,16 +175,15 @@ def _lenses_of_text(source: CameraSource) -> dict[str, _Lens]:
                 shown(" ".join(words[:4])),
                 "a number, a model, width, height and parameters",
             ) from None
-        where = f"camera {plain(str(number))}"
+        where = f"camera {number}"
         _require_known(source, where, model)
         size = source.pixels(f"{where}: ", width, height)
         lenses[number] = _lens(source, where, model, size, parameters)
     return lenses
 
 
-def _from_text(folder: Path) -> list[PartialCamera]:
-    lenses = _lenses_of_text(CameraSource(folder / "cameras.txt"))
-    source = CameraSource(folder / "images.txt")
+def _images_of_text(model: _Model) -> list[PartialCamera]:
+    lenses, source = _lenses(model.cameras), CameraSource(model.images)
     # Two lines of each image: its pose, and its points, which may be an empty line.
     lines = [line for line in source.text.splitlines() if not line.lstrip().startswith("#")]
     views = []
@@ -168,7 +201,7 @@ def _from_text(folder: Path) -> list[PartialCamera]:
         where = f"image {plain(words[0])}"
         try:
             numbers = [float(word) for word in words[1:8]]
-            camera, name = words[8], words[9].strip()
+            camera, name = int(words[8]), words[9].strip()
         except (ValueError, IndexError):
             raise source.error(
                 where,
@@ -176,7 +209,7 @@ def _from_text(folder: Path) -> list[PartialCamera]:
                 "a quaternion, t, the number of a camera and a name",
             ) from None
         if camera not in lenses:
-            raise source.error(f"{where}: camera", shown(camera), "a camera of cameras.txt")
+            raise source.error(f"{where}: camera", str(camera), f"one of {model.cameras.name}")
         views.append(_view(source, where, lenses[camera], numbers[:4], numbers[4:], name))
     return views
 
@@ -209,9 +242,8 @@ class _Binary:
             raise InputError(f"{self.source.path}: ends early, expected a whole file")
 
 
-def _from_binary(folder: Path) -> list[PartialCamera]:
-    cameras, images = _Binary(folder / "cameras.bin"), _Binary(folder / "images.bin")
-    lenses = {}
+def _lenses_of_binary(path: Path) -> dict[int, _Lens]:
+    cameras, lenses = _Binary(path), {}
     for _ in range(int(cameras.take("Q")[0])):
         number, model, width, height = cameras.take("iiQQ")
         name, count = _MODELS.get(int(model), (f"number {model}", 0))
@@ -219,14 +251,20 @@ def _from_binary(folder: Path) -> list[PartialCamera]:
         _require_known(cameras.source, where, name)
         size = cameras.source.pixels(f"{where}: ", width, height)
         parameters = list(cameras.take(f"{count}d"))
-        lenses[number] = _lens(cameras.source, where, name, size, parameters)
-    views = []
+        lenses[int(number)] = _lens(cameras.source, where, name, size, parameters)
+    return lenses
+
+
+def _images_of_binary(model: _Model) -> list[PartialCamera]:
+    lenses, images, views = _lenses(model.cameras), _Binary(model.images), []
     for _ in range(int(images.take("Q")[0])):
         number, *pose, camera = images.take("i7di")
         name = images.name()
         images.skip(24 * int(images.take("Q")[0]))
         where = f"image {number}"
         if camera not in lenses:
-            raise images.source.error(f"{where}: camera", str(camera), "a camera of cameras.bin")
-        views.append(_view(images.source, where, lenses[camera], pose[:4], pose[4:], name))
+            raise images.source.error(
+                f"{where}: camera", str(camera), f"one of {model.cameras.name}"
+            )
+        views.append(_view(images.source, where, lenses[int(camera)], pose[:4], pose[4:], name))
     return views

@@ -27,7 +27,7 @@ def read(source: CameraSource) -> list[PartialCamera]:
                 f"{source.path}: intrinsics.{key} is {inner[key]:g}, expected 0: the principal "
                 "point in the middle; write K, R and t instead"
             )
-    matrix = source.matrix("extrinsics", document["extrinsics"], (4, 4), (1, 4, 4)).reshape(4, 4)
+    matrix = source.pose("extrinsics", document["extrinsics"], (4, 4), (1, 4, 4))
     R, t = from_world_to_camera(matrix, OPENGL)
     K = matrix_of(fx, fy, size[0] / 2.0, size[1] / 2.0, corner=True)
     return [PartialCamera("", of_pixels(K, size), R, t, size)]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import prefixed
+from ...errors import InputError, prefixed
 from ...geometry.arrays import Array
 from ..reading import read_array
 from .matrices import decomposed
@@ -27,7 +27,7 @@ def recognises(source: CameraSource) -> bool:
         return _unnamed_json(source)
     if source.container == "zip":
         keys = source.arrays.keys()
-        return any(_key(key) in NAMES for key in keys) and "T" not in keys
+        return any(_key(key) in NAMES for key in keys)
     if source.container == "npy":
         return True
     rows = source.words
@@ -66,9 +66,9 @@ def _unnamed(source: CameraSource, title: str, matrix: Array) -> PartialCamera:
     if matrix.shape == (3, 3):
         return PartialCamera(title, of_pixels(matrix, None))
     if matrix.shape == (4, 4):
-        R, t = from_world_to_camera(matrix)
+        R, t = from_world_to_camera(source.pose(title or "the matrix", matrix))
         return PartialCamera(title, None, R, t)
-    with prefixed(f"{source.path}: {title}"):
+    with prefixed(f"{source.path}: {title}: " if title else f"{source.path}: "):
         K, R, t = decomposed(matrix)
     return PartialCamera(title, of_pixels(K, None), R, t)
 
@@ -77,8 +77,21 @@ def _key(key: str) -> str:
     return OTHER_NAMES.get(key, key)
 
 
+def _with_t(source: CameraSource, arrays: dict[str, Any]) -> dict[str, Any]:
+    """``arrays`` with T as t, as OpenCV writes it; without K the file may also be PyTorch3D's."""
+    if not any(_key(key) == "K" for key in arrays):
+        raise InputError(
+            f"{source.path}: has R and T, which differ between OpenCV and PyTorch3D, expected K "
+            "with them; name T t if X_camera = R X_world + t, or add focal_length for PyTorch3D "
+            "(`camera_format` pytorch3d)"
+        )
+    return {"t" if key == "T" else key: value for key, value in arrays.items()}
+
+
 def _named(source: CameraSource, arrays: dict[str, Any]) -> list[PartialCamera]:
     require_no_lens(source, "", arrays)
+    if "T" in arrays and "t" not in arrays:
+        arrays = _with_t(source, arrays)
     given = {_key(key): np.asarray(value) for key, value in arrays.items() if _key(key) in NAMES}
     # A column t has one dimension more than a vector t, as a stack of vectors has.
     if "t" in given and given["t"].shape[-1:] == (1,) and given["t"].ndim > 1:

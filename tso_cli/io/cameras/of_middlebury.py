@@ -6,6 +6,7 @@ A line is the name of the picture, K and R by rows, and t.
 from __future__ import annotations
 
 from ...errors import InputError
+from ..reading import plain
 from .own import relative_to
 from .record import PartialCamera, of_pixels
 from .source import CameraSource
@@ -23,6 +24,10 @@ def recognises(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     views = []
+    stated, found = " ".join(sum(source.words[:1], [])), len(source.words) - 1
+    if stated != str(found):
+        raise source.error("the number of pictures", plain(stated),
+                           f"{found}, as there are lines; the file may end early")  # fmt: skip
     for number, words in enumerate(source.words[1:], 1):
         where = f"line {number + 1}"
         try:

@@ -48,7 +48,7 @@ def _view(source: CameraSource, where: str, values: Any) -> PartialCamera:
     R = t = None
     if "extrinsic" in values:
         columns = source.matrix(f"{prefix}extrinsic", values["extrinsic"], (16,))
-        R, t = from_world_to_camera(columns.reshape(4, 4).T)
+        R, t = from_world_to_camera(source.pose(f"{prefix}extrinsic", columns.reshape(4, 4).T))
     return PartialCamera(where, of_pixels(K.reshape(3, 3).T, size), R, t, size)
 
 
@@ -66,6 +66,6 @@ def _log(source: CameraSource) -> list[PartialCamera]:
             numbers = [[float(word) for word in words] for words in rows[start + 1 : start + _ROWS]]
         except ValueError:
             raise source.error(where, "not a matrix of numbers", "4x4 numbers") from None
-        R, t = from_camera_to_world(source.matrix(where, numbers, (4, 4)))
+        R, t = from_camera_to_world(source.pose(where, numbers))
         views.append(PartialCamera(where, None, R, t))
     return views

@@ -11,17 +11,28 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import InputError
 from ...geometry.arrays import Array
 from .record import PYTORCH3D, Intrinsics, PartialCamera, matrix_of, of_ndc, of_pixels
 from .source import CameraSource
 
+# Keys that, next to R and T, only PyTorch3D has.
+_OWN = {"focal_length", "principal_point", "in_ndc", "image_size"}
+
 
 def recognises(source: CameraSource) -> bool:
-    return source.arrays.keys() >= {"R", "T"}
+    arrays = source.arrays
+    if not arrays.keys() >= {"R", "T"}:
+        return False
+    # OpenCV's users store R and T too, with K [3, 3].
+    return np.shape(arrays["K"])[-2:] == (4, 4) if "K" in arrays else bool(_OWN & arrays.keys())
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
     values = source.arrays
+    for key in ("R", "T"):
+        if key not in values:
+            raise InputError(f"{source.path}: {key} is missing, expected R and T")
     R = _stack(source, values, "R", (3, 3))
     T = _stack(source, values, "T", (3,))
     count = max(len(R), len(T))

@@ -57,7 +57,7 @@ def _view(source: CameraSource, where: str, shared: dict[str, Any], frame: Any) 
     if not isinstance(frame, dict) or "transform_matrix" not in frame:
         raise source.error(where, kind(frame), "an object with transform_matrix")
     values = shared | frame
-    matrix = source.matrix(f"{where}.transform_matrix", values["transform_matrix"], (4, 4), (3, 4))
+    matrix = source.pose(f"{where}.transform_matrix", values["transform_matrix"], (4, 4), (3, 4))
     R, t = from_camera_to_world(matrix, OPENGL)
     size = None
     if "w" in values and "h" in values:

@@ -187,8 +187,7 @@ def matrices_of(
         K = matrix_of(*[source.number(where + key, values[key]) for key in _FOCAL])
     for key, pose in (("E", from_world_to_camera), ("c2w", from_camera_to_world)):
         if key in values:
-            matrix = source.matrix(where + key, values[key], (4, 4), (3, 4), (16,), (12,))
-            R, t = pose(matrix.reshape(-1, 4))
+            R, t = pose(source.pose(where + key, values[key], (4, 4), (3, 4), (16,), (12,)))
     if ("R" in values) != ("t" in values):
         other = "t" if "R" in values else "R"
         raise InputError(f"{source.path}: {where}{other} is missing, expected {_EXPECTED}")

@@ -91,6 +91,14 @@ class PartialCamera:
             return Camera(self.intrinsics(width, height), self.R, self.t, width, height, self.model)
 
 
+def is_there(file: Path) -> bool:
+    """Whether a file that a camera file names exists; its name may be impossible."""
+    try:
+        return file.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
     """Whether two sizes (width, height) have the same proportions up to rounding."""
     (w, h), (width, height) = size, other
@@ -99,13 +107,13 @@ def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
 
 
 def from_world_to_camera(matrix: Array, axes: Array | None = None) -> tuple[Array, Array]:
-    """R and t of a matrix [3, 4] or [4, 4], world to camera, whose camera has ``axes``."""
+    """R and t of a matrix [4, 4], or its upper rows, world to camera; its camera has ``axes``."""
     R, t = matrix[:3, :3], matrix[:3, 3]
     return (R, t) if axes is None else (axes @ R, axes @ t)
 
 
 def from_camera_to_world(matrix: Array, axes: Array | None = None) -> tuple[Array, Array]:
-    """R and t of a matrix [3, 4] or [4, 4], camera to world, whose camera has ``axes``."""
+    """R and t of a matrix [4, 4], or its upper rows, camera to world; its camera has ``axes``."""
     R = matrix[:3, :3].T if axes is None else axes @ matrix[:3, :3].T
     return R, -R @ matrix[:3, 3]
 

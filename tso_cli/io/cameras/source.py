@@ -9,7 +9,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ...errors import InputError
+from ...geometry.arrays import Array
 from ..checked import Checked, kind
 from ..output import reason
 from ..reading import read_bytes, shown
@@ -17,9 +20,14 @@ from ..reading import read_bytes, shown
 LIMIT = 16 << 20  # bytes of a camera file
 # A model of COLMAP lists all image points with its cameras.
 LIMIT_OF_MODEL = 2 << 30
+COLMAP_FILES = tuple(
+    f"{name}{suffix}" for name in ("cameras", "images", "points3D") for suffix in (".bin", ".txt")
+)
 # A scene with its cameras, as a GLB, may be larger than a list of cameras.
 LIMIT_OF_SCENE = 2 << 30
 EXPECTED = "a camera file"
+# By how much the last row of a pose may differ from 0 0 0 1: programs compute it in 32 bits.
+LAST_ROW_TOLERANCE = 1e-6
 # What files of a kind begin with.
 _MAGIC = {b"glTF": "glb", b"PK\x03\x04": "zip", b"\x93NUMPY": "npy"}
 
@@ -34,7 +42,7 @@ class CameraSource(Checked):
         self.path = path
         self.is_folder = path.is_dir()
         limit = LIMIT_OF_SCENE if path.suffix.lower() == ".glb" else LIMIT
-        if path.name in ("images.bin", "images.txt"):
+        if path.name in COLMAP_FILES:
             limit = LIMIT_OF_MODEL
         self.data = b"" if self.is_folder else read_bytes(path, EXPECTED, limit)
 
@@ -100,6 +108,31 @@ class CameraSource(Checked):
         from ..archives import arrays_of
 
         return arrays_of(self.data, self.path, LIMIT)
+
+    @cached_property
+    def markup(self) -> list[Any]:
+        """The documents of a YAML file, or of OpenCV's XML, that are not empty."""
+        from .markup import documents_of
+
+        return documents_of(self.text, self.path)
+
+    def pose(self, where: str, values: Any, *shapes: tuple[int, ...]) -> Array:
+        """``values``, an array of one of the ``shapes``, by rows as a matrix [4, 4].
+
+        Raises InputError as `matrix`, or if its last row is not 0 0 0 1.
+        """
+        rows = self.matrix(where, values, *(shapes or ((4, 4),))).reshape(-1, 4)
+        last = np.array([0.0, 0.0, 0.0, 1.0])
+        if len(rows) == 3:
+            return np.vstack([rows, last])
+        if np.abs(rows[3] - last).max() > LAST_ROW_TOLERANCE:
+            transposed = np.abs(rows[:, 3] - last).max() <= LAST_ROW_TOLERANCE
+            raise self.error(
+                f"the last row of {where}",
+                " ".join(f"{value:g}" for value in rows[3]),
+                "0 0 0 1" + ("; transpose the matrix: t is its last column" if transposed else ""),
+            )
+        return rows
 
     def entries(self, keys: set[str], where: str) -> Iterator[tuple[str, dict[str, Any]]]:
         """The place and the object of each view: the document, or each object of its list.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,12 @@ def _perspective(named: Sequence[Named]) -> None:
 def colmap_texts(named: Sequence[Named]) -> dict[str, str]:
     """The files of a COLMAP model without points: name -> text."""
     _perspective(named)
+    counts = Counter(name for name, _, _ in named)
+    for name, count in counts.items():
+        if count > 1:
+            raise InputError(
+                f"{name}: {count} views have this name, expected one: COLMAP knows pictures by name"
+            )
     cameras, images = ["# CAMERA_ID MODEL WIDTH HEIGHT PARAMS"], ["# Two lines for each image"]
     for number, (name, camera, lens) in enumerate(named, 1):
         fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
