@@ -11,6 +11,7 @@ import trimesh
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tests.readme import ROOT
+from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.gltf import GltfFile
 from tso_cli.io.meshes import read_mesh
@@ -227,6 +228,39 @@ def test_the_colours_of_an_obj_stand_after_its_coordinates(tmp_path):
     assert read_cloud(tmp_path / "c.obj").colours()[2].tolist() == [0.0, 0.0, 0.5]
 
 
+def test_a_weight_stands_between_the_coordinates_and_the_colour(tmp_path):
+    text = "v 0 0 0 1.0 1 0 0\nv 1 0 0 1.0 0 1 0\nv 0 1 0 1.0 0 0 0.5 # red\nf 1 2 3\n"
+    (tmp_path / "w.obj").write_text(text)
+    cloud = read_cloud(tmp_path / "w.obj")
+    assert cloud.points.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    assert cloud.colours()[2].tolist() == [0.0, 0.0, 0.5]
+    write_cloud(tmp_path / "moved.obj", cloud.points + [0, 0, 0.5], like=cloud)
+    moved = text.replace(" 0 1.0 ", " 0.5 1.0 ")
+    assert (tmp_path / "moved.obj").read_text() == moved
+    (tmp_path / "h.obj").write_text("v 0 0 0 1\nv 1 0 0 2\nv 0 1 0 1\nf 1 2 3\n")
+    with pytest.warns(UserWarning, match="have a weight w that is not 1; weights are for curves"):
+        assert read_cloud(tmp_path / "h.obj").points[1].tolist() == [1, 0, 0]
+
+
+@pytest.mark.parametrize("end", [b"\r", b"\r\n", b"\n"])
+def test_the_ends_of_lines_of_an_obj_stay(tmp_path, end):
+    text = OBJ.replace(b"\r\n", end)
+    (tmp_path / "a.obj").write_bytes(text)
+    cloud = read_cloud(tmp_path / "a.obj")
+    assert len(cloud.points) == 7
+    moved = cloud.points.copy()
+    moved[1, 0] = 1.75
+    write_cloud(tmp_path / "b.obj", moved, like=cloud)
+    written = (tmp_path / "b.obj").read_bytes()
+    lines = [line for line in written.split(end) if not line.startswith(b"vn ")]
+    expected = text.replace(b"1.50000 0 0", b"1.75 0 0").split(end)
+    assert lines == [line for line in expected if not line.startswith(b"vn ")]
+    assert len(read_mesh(tmp_path / "a.obj", textures=False).faces) == 3
+    (tmp_path / "bad.obj").write_bytes(text + end + b"v 0 0")
+    with pytest.raises(InputError, match=f"line {len(text.split(end)) + 1} has 2 numbers"):
+        read_cloud(tmp_path / "bad.obj")
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -297,6 +331,79 @@ def test_tables_of_other_programs_are_read(save, name):
 @pytest.mark.parametrize("name", tables()[1])
 def test_damaged_tables_are_read_or_refused(save, tmp_path, name):
     assert_reads_or_refuses(read_cloud, save(name, tables()[1][name]), 60)
+
+
+POINT = [[1.5, 2.0, 3.25], [4.0, 5.0, -6.0]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x,y,z\n1.5,2,3.25\n4,5,-6\n",
+        "1.5, 2, 3.25\r\n4, 5, -6\r\n",
+        "X;Y;Z;name\n1,5;2,0;3,25;a, b\n4;5;-6;c\n",
+        "x\ty\tz\n1,5\t2\t3,25\n4\t5\t-6\n",
+        "x y  z\n1.5 2  3.25\n 4 5 -6 \n",
+        "x\ty\tz\r1.5\t2\t3.25\r4\t5\t-6\r",
+        "\ufeffid,X,Y,Z\na,1.5,2,3.25\nb,4,5,-6\n",
+        '"label","x","y","z"\n"a, b",1.5,"2",3.25\n"c ""d""",4,5,-6\n',
+        '"Points:0","Points:1","Points:2","v"\n1.5,2,3.25,\n4,5,-6,\n',
+        "time,point_x,point_y,point_z\n2024-01-01 10:00:00,1.5,2,3.25\n2024-01-01 10:00:01,4,5,-6",
+        "stamp;pos_z;pos_y;pos_x\n2024-01-01 10:00:00;3,25;2;1,5\n2024-01-01 10:00:01;-6;5;4\n",
+        "//X,Y,Z,R,G,B\n1.5,2,3.25,255,0,0\n4,5,-6,0,0,9\n",
+        "//X Y Z\n1.5 2 3.25\n4 5 -6\n",
+        "# a scan; of a chair, here\n#x,y,z\n1.5,2,3.25\n# more\n4,5,-6\n,,\n",
+        "1.5,2,3.25,chair_1\n4,5,-6,Stühle\n",
+        ",x,y,z\n0,1.5,2,3.25\n1,4,5,-6\n",
+    ],
+)  # fmt: skip
+def test_tables_with_other_separators_names_and_columns_are_read(save, text):
+    assert read_cloud(save("a.csv", text.encode())).points.tolist() == POINT
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("x,y,z\n1,2,3\n4,,6\n", "line 3 has an empty cell as y, expected a number"),
+        ("x,y,z\n1,2,3\n4,5,6_0\n", "line 3 has '6_0' as z, expected a number"),
+        ("x,y,z\n1,2,3\n4,5\n", "line 3 has 2 columns, expected at least 3"),
+        ("a,b,c\n1,2,3\n", "its columns are a, b, c, expected x, y and z"),
+        ('x,y,z\n1,2,3\n4,5,6,"a\n', "line 3 is no row of a .csv file"),
+        ("x;y;z\n1.000,5;2;3\n", "line 2 has '1.000.5' as x, expected a number"),
+    ],
+)
+def test_a_wrong_row_of_a_csv_is_refused_with_its_line(save, text, says):
+    assert_refused(rf"a\.csv: .*{says}", read_cloud, save("a.csv", text))
+
+
+def test_a_million_rows_of_a_csv_take_seconds():
+    import time
+
+    from tso_cli.io.point_tables import read_points
+
+    data = b"id,x,y,z\n" + b"a,0.123456,-1.25,3.5\n" * 1_000_000
+    start = time.process_time()
+    assert len(read_points(data, Path("a.csv"), 1)) == 1_000_000
+    assert time.process_time() - start < 10.0
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [
+        ("d.pcd", lambda data: data + "9 9 9 9\n", "has 4 lines of points, POINTS states 3"),
+        ("d.pcd", lambda data: data[: data[:-1].rindex("\n")],
+         "ends early: it has 2 lines of points, POINTS states 3, expected the same"),
+        ("e.pcd", lambda data: data[:-4], "ends early: it has 2 points of 16 bytes, POINTS st"),
+        ("e.pcd", lambda data: data + b"12345", "5 bytes follow its 3 points of 16 bytes"),
+        ("c.pts", lambda data: "4" + data[1:],
+         "ends early: it has 3 lines of points, its first line states 4"),
+        ("c.pts", lambda data: "2" + data[1:], "has 3 lines of points, its first line states 2"),
+        ("f.off", lambda data: data[:-8],
+         "ends early: it has 3 lines after its counts, which state 3 vertices and 1 face"),
+    ],
+)  # fmt: skip
+def test_a_table_of_another_length_than_it_states_is_refused(save, name, change, says):
+    assert_refused(says, read_cloud, save(name, change(tables()[1][name])))
 
 
 def test_arrays_of_networks_are_read(tmp_path):

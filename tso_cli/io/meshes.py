@@ -1,9 +1,11 @@
-"""Triangle meshes: reads PLY, OBJ, OFF, STL and GLB; writes PLY."""
+"""Triangle meshes: reads PLY, OBJ, OFF, STL and GLB; writes them without textures."""
 
 from __future__ import annotations
 
 import io
 import logging
+import re
+import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,7 @@ from .textures import Pictures, Texture
 
 GREY = (170, 170, 170)  # the colour of faces that have no colour
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
+_HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL file
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +157,8 @@ def _load_parts(
             kind = path.suffix.lower()[1:]
             if kind == "obj":
                 content = simplified(content)
+            elif kind in ("off", "stl"):
+                (_check_off if kind == "off" else _check_stl)(content, path)
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )
@@ -163,6 +168,8 @@ def _load_parts(
                 vertices = np.array(getattr(part, "vertices", ()), dtype=np.float64)
                 faces = np.array(getattr(part, "faces", ()), dtype=np.int64)
                 parts.append((part, vertices.reshape(-1, 3), faces.reshape(-1, 3)))
+    except InputError:
+        raise
     # A damaged file can make the parser raise anything.
     except Exception as error:
         raise InputError(
@@ -172,6 +179,40 @@ def _load_parts(
     finally:
         log.setLevel(before)
     return parts, images
+
+
+def _check_off(content: bytes, path: Path) -> None:
+    """Raise InputError if an OFF file has fewer lines than it states."""
+    match = re.search(rb"OFF\s+(?:#[^\n]*\s+)*(\d{1,18})\s+(\d{1,18})[^\n]*", content)
+    if match is None:
+        raise InputError(
+            f"{path}: has no counts of vertices and faces after OFF, expected a whole OFF file"
+        )
+    vertices, faces = int(match[1]), int(match[2])
+    lines = [line.partition(b"#")[0] for line in content[match.end() :].splitlines()]
+    found = sum(1 for line in lines if line.strip())
+    if found < vertices + faces:
+        nouns = ("vertex" if vertices == 1 else "vertices", "face" if faces == 1 else "faces")
+        raise InputError(
+            f"{path}: ends early: it has {found:,} lines after its counts, which state "
+            f"{vertices:,} {nouns[0]} and {faces:,} {nouns[1]}, expected a line for each"
+        )
+
+
+def _check_stl(content: bytes, path: Path) -> None:
+    """Raise InputError if an STL file, text or binary, is not whole."""
+    stated = struct.unpack_from("<I", content, 80)[0] if len(content) >= _HEADER else 0
+    body = len(content) - _HEADER
+    if body == stated * _TRIANGLE:
+        return
+    if re.match(rb"\s*solid", content) and re.search(rb"\bfacet\b", content, re.IGNORECASE):
+        if not re.search(rb"end\s*solid", content, re.IGNORECASE):
+            raise InputError(f"{path}: ends early: its last solid has no end, expected endsolid")
+        return
+    raise InputError(
+        f"{path}: has {max(body, 0):,} bytes after its header, expected {_TRIANGLE} for each of "
+        f"the {stated:,} triangles that it states; the file ends early or is no STL file"
+    )
 
 
 def _face_colours(part: Any, count: int) -> Pixels | None:
@@ -188,6 +229,30 @@ def _face_colours(part: Any, count: int) -> Pixels | None:
         return colours if visual.kind is not None and colours.shape == (count, 3) else None
     except Exception:
         return None
+
+
+def new_mesh(suffix: str, points: Array, faces: Indices) -> bytes:
+    """The bytes of a .obj, .off, .stl or .glb file of ``points`` and ``faces``, without colours.
+
+    Text has the digits that give the same numbers again.
+    """
+    if suffix in (".stl", ".glb"):
+        import trimesh
+
+        mesh = trimesh.Trimesh(points, faces, process=False)
+        data = mesh.export(file_type=suffix[1:])
+        assert isinstance(data, bytes)
+        return data
+    single = points.astype(np.float32)
+    rows = (single if np.array_equal(single, points) else points).astype("S32").astype(str)
+    if suffix == ".obj":
+        lines = [f"v {x} {y} {z}" for x, y, z in rows.tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    else:
+        lines = ["OFF", f"{len(points)} {len(faces)} 0"]
+        lines += [f"{x} {y} {z}" for x, y, z in rows.tolist()]
+        lines += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
+    return "\n".join([*lines, ""]).encode()
 
 
 def write_mesh(path: Path, mesh: Mesh, overwrite: bool = False) -> None:
