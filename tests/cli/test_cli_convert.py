@@ -134,4 +134,16 @@ def test_mask_shows_what_would_be_used_and_writes_it(tso, tmp_path, folder):
     assert "columns" in text
     assert "holds several labels" in tso("mask", FILES / "masks/palette.png").refusal
     assert json.loads(tso("mask", "mask.png", "--invert-mask", "--json").out)["foreground"] > 32768
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    with Image.open("mask.png") as image:
+        image.convert("L").crop((0, 0, 256, 200)).save(tmp_path / "turned.png", exif=exif)
+    run = tso("mask", tmp_path / "turned.png")
+    assert "turned.png: 200x256" in run.out
+    assert (
+        "turned    upright, by EXIF orientation 6; stored as 256x200, and tso refine with a camera "
+        "file takes it as stored"
+    ) in run.out
+    assert "turned    upright" not in text
+    assert tso("mask", tmp_path / "turned.png", "--json").document["exif_orientation"] == 6
     assert "is the input" in tso("mask", "mask.png", "-o", "mask.png", "--overwrite").refusal

@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -130,7 +131,72 @@ def test_normals_turn_with_the_surface(tmp_path):
     accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]]
     offset = document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
     stored = np.frombuffer(binary, "<f4", 3 * accessor["count"], offset).reshape(-1, 3)
-    np.testing.assert_allclose(stored, mesh.vertex_normals @ turn.T, atol=2e-2)
+    np.testing.assert_allclose(stored, mesh.vertex_normals @ turn.T, atol=1e-6)
+
+
+def stored_normals(path):
+    document, binary = parts_of(path.read_bytes())
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]]
+    offset = document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+    return np.frombuffer(binary, "<f4", 3 * accessor["count"], offset).reshape(-1, 3)
+
+
+def test_normals_under_a_shear_are_those_of_the_surface_in_the_world(tmp_path):
+    shear = a_place()
+    shear[:3, :3] = shear[:3, :3] @ [[1, 0.6, 0], [0, 0.5, 0.2], [0, 0, 1.5]]
+    path, _ = a_glb(tmp_path, shear)
+    cloud = read_cloud(path)
+    to_world = np.linalg.inv(shear[:3, :3])  # of rows, the inverse transpose
+    before = stored_normals(path) @ to_world
+    turn = trimesh.transformations.rotation_matrix(0.9, [3, 1, -1])[:3, :3]
+    write_cloud(tmp_path / "turned.glb", 1.5 * cloud.points @ turn.T + 7.0, like=cloud)
+    after = stored_normals(tmp_path / "turned.glb") @ to_world
+    np.testing.assert_allclose(unit(after), unit(before) @ turn.T, atol=1e-6)
+    # A bend: the normals follow the faces of the moved mesh.
+    bent = cloud.points + np.c_[0.3 * np.sin(cloud.points[:, 1:2]), cloud.points[:, :2] * 0.0]
+    write_cloud(tmp_path / "bent.glb", bent, like=cloud)
+    found = unit(stored_normals(tmp_path / "bent.glb") @ to_world)
+    expected = trimesh.Trimesh(bent, cloud.faces(), process=False).vertex_normals
+    assert np.degrees(np.arccos(np.clip((found * expected).sum(1), -1, 1))).max() < 6.0
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def test_a_shift_leaves_every_normal_as_it_was(tmp_path):
+    path, _ = a_glb(tmp_path, a_place())
+    cloud = read_cloud(path)
+    write_cloud(tmp_path / "shifted.glb", cloud.points + [1.0, 0.5, -3.0], like=cloud)
+    assert np.array_equal(stored_normals(tmp_path / "shifted.glb"), stored_normals(path))
+
+
+def test_the_normals_of_an_obj_turn_exactly_with_all_of_it(tmp_path):
+    mesh = trimesh.creation.icosphere(2, 0.5)
+    (tmp_path / "a.obj").write_text(trimesh.exchange.obj.export_obj(mesh, include_normals=True))
+    cloud = read_cloud(tmp_path / "a.obj")
+    turn = trimesh.transformations.rotation_matrix(0.5, [0, 1, 1])[:3, :3]
+    write_cloud(tmp_path / "b.obj", cloud.points @ turn.T, like=cloud)
+    normals = {
+        name: np.loadtxt(
+            [x[3:] for x in (tmp_path / name).read_text().splitlines() if x[:2] == "vn"]
+        )
+        for name in ("a.obj", "b.obj")
+    }
+    np.testing.assert_allclose(normals["b.obj"], normals["a.obj"] @ turn.T, atol=1e-6)
+
+
+def test_further_parts_of_a_glb_stay(tmp_path):
+    path, _ = a_glb(tmp_path)
+    data = path.read_bytes()
+    extra = struct.pack("<I4s", 8, b"TSO\0") + b"whatever"
+    path.write_bytes(data[:8] + struct.pack("<I", len(data) + len(extra)) + data[12:] + extra)
+    cloud = read_cloud(path)
+    write_cloud(tmp_path / "moved.glb", cloud.points * 1.5, like=cloud)
+    written = (tmp_path / "moved.glb").read_bytes()
+    assert written.endswith(extra)
+    assert struct.unpack_from("<I", written, 8) == (len(written),)
+    np.testing.assert_allclose(read_cloud(tmp_path / "moved.glb").points, cloud.points * 1.5)
 
 
 def test_two_nodes_that_share_a_mesh_are_read_and_not_moved(tmp_path):
@@ -151,7 +217,14 @@ def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
     assert np.abs(read_cloud(tmp_path / "moved.gltf").points - cloud.points - 0.25).max() < 1e-6
     moved = json.loads((tmp_path / "moved.gltf").read_text())
     assert moved["buffers"][0]["uri"].startswith("data:application/octet-stream;base64,")
-    for name in ("../scene.bin", "/etc/passwd", "http://a/b.bin"):
+    (tmp_path / "scene.bin").rename(tmp_path / "elsewhere.bin")
+    assert_refused(
+        r"scene\.bin: does not exist, expected the buffer that scene\.gltf names",
+        read_cloud, tmp_path / "scene.gltf",
+    )  # fmt: skip
+    (tmp_path / "scene.bin").symlink_to(tmp_path / "elsewhere.bin")
+    assert len(read_cloud(tmp_path / "scene.gltf").points) == len(cloud.points)
+    for name in ("../scene.bin", "/etc/passwd", "http://a/b.bin", "..%2Fscene.bin"):
         document["buffers"][0]["uri"] = name
         (tmp_path / "bad.gltf").write_text(json.dumps(document))
         assert_refused("expected a file in the same folder", read_cloud, tmp_path / "bad.gltf")
@@ -165,7 +238,24 @@ def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
             "its meshes use Draco, which tso does not read; export it without",
         ),
         ({"meshes": []}, "expected the index of a mesh"),
-        ({"nodes": [{"children": [1]}, {"children": [0]}], "scenes": []}, "a circle"),
+        (
+            {"nodes": [{"children": [1]}, {"children": [0]}], "scenes": []},
+            "node 0 is its own ancestor, expected a tree of nodes",
+        ),
+        (
+            {"extensionsRequired": ["KHR_materials_unlit", "ACME_folded_space"]},
+            "requires the extension ACME_folded_space, which tso does not know",
+        ),
+        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "its meshes use Draco"),
+        (
+            {"accessors": [{"type": "VEC2", "componentType": 5126, "bufferView": 0}] * 3},
+            r"accessors\[\d\] is VEC2 of component type 5126, expected VEC3 .*of component type 5120, 5121",
+        ),
+        (
+            {"bufferViews": [{"buffer": 0, "byteLength": 10**9}] * 3},
+            r"bufferViews\[\d\] is bytes 0 to 1000000000 of buffer 0, expected a part of its",
+        ),
+        ({"buffers": [{"uri": "a" * 5000}]}, r"uri is 'aaa.*\.\.\., expected a file in the same"),
         ({"bufferViews": []}, "expected the index of a view"),
     ],
 )
@@ -433,12 +523,31 @@ def test_a_result_is_written_as_what_its_suffix_says(tmp_path):
         write_cloud(tmp_path / name, moved, like=cloud)
         np.testing.assert_allclose(read_cloud(tmp_path / name).points, moved, atol=1e-6)
     path, mesh = a_glb(tmp_path, textured=True)
-    with pytest.warns(UserWarning, match="do not go into a .ply; write .glb to keep them"):
+    lost = "its textures, materials, texture coordinates and normals do not go into a .ply; write"
+    with pytest.warns(UserWarning, match=f"{lost} .glb to keep them"):
         write_cloud(tmp_path / "a.ply", read_cloud(path).points, like=read_cloud(path))
     assert (read_cloud(tmp_path / "a.ply").faces() == mesh.faces).all()
     assert_refused(
         "expected .ply or .npy or .xyz", write_cloud, tmp_path / "a.glb", moved, like=cloud
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "lost"),
+    [
+        ("", ""),
+        ("vn 0 0 1\n", "normals"),
+        ("usemtl a\nvt 0 0\n", "materials and texture coordinates"),
+    ],
+)
+def test_a_warning_names_what_a_ply_has_no_place_for_if_it_is_there(tmp_path, text, lost):
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{text}f 1 2 3\n")
+    cloud = read_cloud(tmp_path / "a.obj")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write_cloud(tmp_path / "a.ply", cloud.points, like=cloud)
+    said = [str(one.message).partition("a.obj: ")[2] for one in caught]
+    assert said == ([f"its {lost} do not go into a .ply; write .obj to keep them"] if lost else [])
 
 
 @pytest.mark.parametrize(

@@ -83,21 +83,34 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     - .ply : text or binary; .glb, .gltf and .obj : all meshes of the scene, at their places;
     - .off, .stl : a mesh;
     - .npy, .npz, .pt : an array [N, 3] or [1, N, 3]; further columns are left out;
-    - .xyz, .txt, .csv, .pts, .pcd : a table with x, y and z.
+    - .xyz, .txt, .csv, .pts, .pcd : a table with x, y and z;
+    - others : by a reader that another package registers (`plugins`).
 
     Raises InputError if the file cannot be read, holds no point, or holds a coordinate that is not
     finite. With ``extended`` it also raises InputError if all points are equal.
     """
     path = Path(path)
     suffix = path.suffix.lower()
+    plugin = None
     if suffix not in SUFFIXES and not path.is_dir():
-        advice = ADVICE.get(suffix, f"expected {', '.join(SUFFIXES)}")
-        raise InputError(
-            f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
-        )
+        from .plugins import readers
+
+        plugin = readers().get(suffix)
+        if plugin is None:
+            advice = ADVICE.get(suffix, f"expected {', '.join((*SUFFIXES, *readers()))}")
+            raise InputError(
+                f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
+            )
     data = read_bytes(path, "a point cloud")
     try:
-        if suffix in MOVABLE:
+        if plugin is not None:
+            from .plugins import read_with
+
+            values, faces = read_with(plugin, data, path)
+            points, precision = point_array(values, path)
+            triangles = None if faces is None else as_triangles(faces, len(points), str(path))
+            cloud = PointCloud(points, path, precision, triangles=triangles)
+        elif suffix in MOVABLE:
             source = _movable(suffix, data, path)
             precision = "float32" if set(source.kinds) == {"f4"} else "float64"
             cloud = PointCloud(source.read(), path, precision, source)
@@ -236,9 +249,9 @@ def check_suffix(path: Path, own: str = "") -> None:
 
 def _new_file(suffix: str, points: Array, dtype: str, like: PointCloud | None) -> bytes:
     if suffix == ".ply":
-        if like is not None and like.source is not None:
+        if like is not None and like.source is not None and like.source.lost_in_ply:
             warnings.warn(
-                f"{like.path}: its textures, materials and normals do not go into a .ply; write "
+                f"{like.path}: its {like.source.lost_in_ply} do not go into a .ply; write "
                 f"{like.source.suffix} to keep them",
                 stacklevel=3,
             )

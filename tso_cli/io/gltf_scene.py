@@ -79,7 +79,10 @@ def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:
                 break
             at = parent[at]
             if at in chain:
-                raise checked.error("nodes", "a circle", "a tree")
+                raise InputError(
+                    f"{checked.path}: node {at} is its own ancestor, expected a tree of nodes; "
+                    "export the scene again"
+                )
         for one in reversed(chain):
             above = places.get(parent.get(one, -1))
             places[one] = local[one] if above is None else above @ local[one]

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
-from ..geometry.normals import turned_normals
-from .movable import MovableFile
+from ..geometry.normals import rigid_turn, turned_normals
+from .movable import MovableFile, in_words
 from .ply_body import spliced
 from .reading import plain, require_memory
 
@@ -185,6 +185,17 @@ class ObjFile(MovableFile):
             )
         return colours
 
+    @property
+    def lost_in_ply(self) -> str:
+        """What of the file a new .ply has no place for."""
+        held = {
+            "materials": re.search(rb"^[ \t]*usemtl\b", self._lines, re.MULTILINE),
+            "texture coordinates": re.search(rb"^[ \t]*vt\b", self._lines, re.MULTILINE),
+            "colours": self._colour_spans is not None,
+            "normals": self._normal_spans is not None,
+        }
+        return in_words(name for name, there in held.items() if there)
+
     def with_points(self, points: Array) -> bytes:
         """The file with its vertices moved to ``points`` [V, 3]."""
         if np.array_equal(self._points, points):
@@ -194,9 +205,13 @@ class ObjFile(MovableFile):
         if self._normal_spans is not None and used.any():
             normals = self._numbers(self._normal_spans)
             whole = used.all(1)
-            turned = turned_normals(
-                normals, self._normals[whole], self._triangles[whole], self._points, points
-            )
+            turn = rigid_turn(self._points, points)
+            if turn is not None:
+                turned = normals @ turn.T
+            else:
+                turned = turned_normals(
+                    normals, self._normals[whole], self._triangles[whole], self._points, points
+                )
             changes.append(self._changes(self._normal_spans, normals, turned))
         starts, ends, words = (np.concatenate(part) for part in zip(*changes, strict=True))
         return spliced(self.data, 0, starts, ends, words)

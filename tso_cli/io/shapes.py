@@ -46,9 +46,14 @@ def shape_kind(path: Path) -> str:
     """What the file ``path`` is read as: "cloud", "mesh" or "voxels"; unreadable files: "cloud"."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
+        from .plugins import readers
+
+        others = readers()
+        if suffix in others:
+            return "cloud"
         raise InputError(
             f"{path}: the suffix is {suffix!r}, "
-            f"expected a cloud, mesh or grid: {', '.join(SUFFIXES)}"
+            f"expected a cloud, mesh or grid: {', '.join((*SUFFIXES, *others))}"
         )
     if suffix in MESH_SUFFIXES:
         return "mesh"
