@@ -154,6 +154,14 @@ def test_a_count_that_lies_costs_neither_time_nor_memory(save, name):
     assert time.process_time() - start < 3.0
 
 
+@pytest.mark.parametrize("name", ["cloud.npz", "cloud.pt", "mask.npz"])
+def test_an_archive_of_a_later_version_of_zip_is_refused(save, name):
+    read, suffix = reader(name)
+    data = bytearray(GOOD[name])
+    data[data.index(b"PK\x01\x02") + 6] = 160
+    assert_refused("is a damaged archive", read, save(f"a{suffix}", bytes(data)))
+
+
 class Marker:
     """Unpickled, it makes a file."""
 

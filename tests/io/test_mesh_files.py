@@ -17,6 +17,7 @@ from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.gltf import GltfFile
 from tso_cli.io.meshes import read_mesh
 from tso_cli.io.obj import ObjFile
+from tso_cli.io.shapes import read_shape
 
 CHAIR = next((ROOT / "examples/meshes/chair").glob("*.ply"))
 SCENE = Path(__file__).with_name("files") / "blender/scene.glb"
@@ -217,6 +218,7 @@ def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
     assert np.abs(read_cloud(tmp_path / "moved.gltf").points - cloud.points - 0.25).max() < 1e-6
     moved = json.loads((tmp_path / "moved.gltf").read_text())
     assert moved["buffers"][0]["uri"].startswith("data:application/octet-stream;base64,")
+    assert read_shape(tmp_path / "moved.gltf", samples=100).shape == (100, 3)
     (tmp_path / "scene.bin").rename(tmp_path / "elsewhere.bin")
     assert_refused(
         r"scene\.bin: does not exist, expected the buffer that scene\.gltf names",
