@@ -100,7 +100,10 @@ BAD = {
         bytes(80) + struct.pack("<I", 2) + bytes(70),
         "has 70 bytes after its header, expected 50 for each of the 2 triangles",
     ),
-    "text.stl": (b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "expected endsolid"),
+    "text.stl": (
+        b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n",
+        "ends early: it has 1 lines with facet and 0 with endfacet",
+    ),
     "head.stl": (b"x" * 20, "has 0 bytes after its header, expected 50"),
     "counts.off": (b"OFF\nx y\n", "has no counts of vertices and faces after OFF"),
     "short.off": (

@@ -206,8 +206,17 @@ def _check_stl(content: bytes, path: Path) -> None:
     if body == stated * _TRIANGLE:
         return
     if re.match(rb"\s*solid", content) and re.search(rb"\bfacet\b", content, re.IGNORECASE):
-        if not re.search(rb"end\s*solid", content, re.IGNORECASE):
-            raise InputError(f"{path}: ends early: its last solid has no end, expected endsolid")
+        for word in (b"facet", b"solid"):
+            lines = rb"(?:\A|[\r\n])\s*%s" + word + rb"\b"
+            begun, ended = (
+                len(re.findall(lines % end, content, re.IGNORECASE)) for end in (b"", rb"end\s*")
+            )
+            if begun != ended:
+                name = word.decode()
+                raise InputError(
+                    f"{path}: ends early: it has {begun:,} lines with {name} and {ended:,} with "
+                    f"end{name}, expected the same; export it again"
+                )
         return
     raise InputError(
         f"{path}: has {max(body, 0):,} bytes after its header, expected {_TRIANGLE} for each of "
