@@ -104,6 +104,20 @@ BAD = {
         b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n",
         "ends early: it has 1 lines with facet and 0 with endfacet",
     ),
+    "word.stl": (
+        b"solid a\nfacet normal 0 0 1\nvertex 0 o 0\n",
+        "line 3 has '0 o 0', expected x, y",
+    ),
+    "two.stl": (
+        b"solid a\nfacet\nvertex 0 0 0\nvertex 1 0 0\nendfacet\nendsolid\n",
+        "has 2 vertices in 1 facets, expected 3 in each",
+    ),
+    "word.off": (b"OFF\n3 1 0\n0 0 0\n\n1 0\n", "line 5 has '1 0', expected x, y and z"),
+    "face.off": (
+        b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n",
+        "line 6 has '3 0 1', expected the count of corners of a face",
+    ),
+    "comments.off": (b"OFF\n" + b"# " * 5000, "has no counts of vertices and faces after OFF"),
     "head.stl": (b"x" * 20, "has 0 bytes after its header, expected 50"),
     "counts.off": (b"OFF\nx y\n", "has no counts of vertices and faces after OFF"),
     "short.off": (

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import re
-import struct
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
+from .mesh_checks import check_off, check_stl
 from .obj import simplified
 from .output import reason, write_file
 from .ply import new_ply
@@ -23,7 +22,6 @@ from .textures import Pictures, Texture
 
 GREY = (170, 170, 170)  # the colour of faces that have no colour
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
-_HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL file
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +156,7 @@ def _load_parts(
             if kind == "obj":
                 content = simplified(content)
             elif kind in ("off", "stl"):
-                (_check_off if kind == "off" else _check_stl)(content, path)
+                (check_off if kind == "off" else check_stl)(content, path)
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )
@@ -179,49 +177,6 @@ def _load_parts(
     finally:
         log.setLevel(before)
     return parts, images
-
-
-def _check_off(content: bytes, path: Path) -> None:
-    """Raise InputError if an OFF file has fewer lines than it states."""
-    match = re.search(rb"OFF\s+(?:#[^\n]*\s+)*(\d{1,18})\s+(\d{1,18})[^\n]*", content)
-    if match is None:
-        raise InputError(
-            f"{path}: has no counts of vertices and faces after OFF, expected a whole OFF file"
-        )
-    vertices, faces = int(match[1]), int(match[2])
-    lines = [line.partition(b"#")[0] for line in content[match.end() :].splitlines()]
-    found = sum(1 for line in lines if line.strip())
-    if found < vertices + faces:
-        nouns = ("vertex" if vertices == 1 else "vertices", "face" if faces == 1 else "faces")
-        raise InputError(
-            f"{path}: ends early: it has {found:,} lines after its counts, which state "
-            f"{vertices:,} {nouns[0]} and {faces:,} {nouns[1]}, expected a line for each"
-        )
-
-
-def _check_stl(content: bytes, path: Path) -> None:
-    """Raise InputError if an STL file, text or binary, is not whole."""
-    stated = struct.unpack_from("<I", content, 80)[0] if len(content) >= _HEADER else 0
-    body = len(content) - _HEADER
-    if body == stated * _TRIANGLE:
-        return
-    if re.match(rb"\s*solid", content) and re.search(rb"\bfacet\b", content, re.IGNORECASE):
-        for word in (b"facet", b"solid"):
-            lines = rb"(?:\A|[\r\n])\s*%s" + word + rb"\b"
-            begun, ended = (
-                len(re.findall(lines % end, content, re.IGNORECASE)) for end in (b"", rb"end\s*")
-            )
-            if begun != ended:
-                name = word.decode()
-                raise InputError(
-                    f"{path}: ends early: it has {begun:,} lines with {name} and {ended:,} with "
-                    f"end{name}, expected the same; export it again"
-                )
-        return
-    raise InputError(
-        f"{path}: has {max(body, 0):,} bytes after its header, expected {_TRIANGLE} for each of "
-        f"the {stated:,} triangles that it states; the file ends early or is no STL file"
-    )
 
 
 def _face_colours(part: Any, count: int) -> Pixels | None:
