@@ -13,17 +13,29 @@ from importlib import import_module
 from pathlib import Path
 
 from tests.corruption import is_read
+from tso_cli.errors import InputError, TsoError
 
+# Suffixes of clouds, and of meshes whose vertices are one.
+CLOUDS = (
+    ".ply", ".npy", ".npz", ".pt", ".xyz", ".txt", ".csv", ".pts", ".pcd", ".glb", ".gltf", ".obj",
+    ".off", ".stl",
+)  # fmt: skip
 READERS = {
-    **{f"cloud{suffix}": ("io.clouds:read_cloud", suffix) for suffix in (".ply", ".npy", ".xyz")},
+    # A cloud is moved and written again too; the suffix says where binary files differ from text.
+    **{f"cloud{suffix}": ("tests.fuzz:moved", suffix) for suffix in CLOUDS},
+    "cloud.binary.pcd": ("tests.fuzz:moved", ".pcd"),
+    "cloud.binary.stl": ("tests.fuzz:moved", ".stl"),
     **{
         f"mesh{suffix}": ("io.meshes:read_mesh", suffix)
         for suffix in (".ply", ".obj", ".off", ".stl", ".glb")
     },
     **{
         f"mask{suffix}": ("io.masks:read_mask", suffix)
-        for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy")
+        for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy", ".npz", ".pt", ".json")
     },
+    "mask.sam.npz": ("io.masks:read_mask", ".npz"),
+    "mask.coco.json": ("tests.fuzz:first_mask", ".json"),
+    "mask.label.png": ("tests.fuzz:first_label", ".png"),
     "faces": ("tests.fuzz:faces", ".ply"),
     "image": ("io.images:read_image", ".bmp"),
     "depth": ("io.images:read_depth", ".png"),
@@ -53,6 +65,35 @@ def reader(name):
     module, function = place.split(":")
     module = module if module.startswith("tests") else f"tso_cli.{module}"
     return getattr(__import__(module, fromlist=["x"]), function), suffix
+
+
+def moved(path):
+    """A cloud, with its faces, moved and written again."""
+    from tso_cli.io.clouds import output_suffix, read_cloud, write_cloud
+
+    cloud = read_cloud(path)
+    cloud.faces()
+    if cloud.source is not None:
+        cloud.source.require_movable()
+    try:
+        target = path.with_name(f"moved {path.name}{output_suffix(path)}")
+        write_cloud(target, cloud.points + 0.5, like=cloud, overwrite=True)
+    except TsoError as error:  # a coordinate too large for its type
+        raise InputError(str(error)) from None
+
+
+def first_mask(path):
+    """The first of several masks."""
+    from tso_cli.io.masks import MaskChoice, read_mask
+
+    read_mask(path, MaskChoice(index=0))
+
+
+def first_label(path):
+    """The pixels of one label."""
+    from tso_cli.io.masks import MaskChoice, read_mask
+
+    read_mask(path, MaskChoice("1"))
 
 
 def faces(path):
@@ -99,7 +140,18 @@ def main(name, seconds, *corpus):
         import PIL.TiffImagePlugin  # noqa: F401
         import trimesh  # noqa: F401
 
-        from tso_cli.io import cameras, checkpoints, clouds, images  # noqa: F401
+        from tso_cli.io import (  # noqa: F401
+            archives,
+            cameras,
+            checkpoints,
+            clouds,
+            gltf,
+            images,
+            masks,
+            meshes,
+            obj,
+            point_tables,
+        )
 
         for module in pkgutil.iter_modules(cameras.__path__):
             import_module(f"{cameras.__name__}.{module.name}")

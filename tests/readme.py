@@ -455,8 +455,15 @@ def plugin() -> str:
     return f"```python\n{text.split(chr(10) * 2, 1)[1].strip()}\n```"
 
 
+def cloud_plugin() -> str:
+    """The example of a reader of clouds, which a test runs."""
+    text = (ROOT / "tests/io/cloud_plugin_example.py").read_text()
+    return f"```python\n{text.split(chr(10) * 2, 1)[1].strip()}\n```"
+
+
 FIGURES = (
     plugin,
+    cloud_plugin,
     initial_error,
     advice,
     paper,

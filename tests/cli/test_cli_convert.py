@@ -149,6 +149,33 @@ def test_a_mesh_is_converted_by_the_suffix_of_the_target(tso, tmp_path, suffix):
     np.testing.assert_allclose(after.min(0), before.min(0), atol=1e-5)
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".glb", ".obj", ".off", ".stl"])
+def test_coordinates_of_a_map_survive_or_a_warning_says_by_how_much_not(tso, tmp_path, suffix):
+    (tmp_path / "map.obj").write_text(
+        "v 4512345.678 512345.123 10.5\nv 4512346.678 512345.123 10.5\n"
+        "v 4512345.678 512346.123 10.75\nf 1 2 3\n"
+    )
+    target = tmp_path / f"b{suffix}"
+    run = tso("convert", tmp_path / "map.obj", target)
+    assert run.code == 0
+    before, after = read_cloud(tmp_path / "map.obj").points, read_cloud(target).points
+    if suffix in (".glb", ".stl"):
+        assert f"are stored as float, as in every {suffix} file: rounding moves" in run.err
+        assert "write .ply, .obj or .off to keep the result" in run.err
+        assert np.abs(after.max(0) - before.max(0)).max() > 0.1
+    else:
+        assert np.array_equal(after, before)
+        assert "float" not in run.err
+
+
+def test_a_coordinate_that_no_float_can_hold_is_refused(tso, tmp_path):
+    (tmp_path / "far.obj").write_text("v 0 0 0\nv 1e39 0 0\nv 0 1 0\nf 1 2 3\n")
+    run = tso("convert", tmp_path / "far.obj", tmp_path / "far.glb")
+    assert run.code != 0
+    assert "a coordinate does not fit into float, as in every .glb file" in run.err
+    assert not (tmp_path / "far.glb").exists()
+
+
 def test_what_cannot_be_converted_is_refused(tso, tmp_path, folder):
     assert "has no faces" in tso("convert", "initial.ply", tmp_path / "a.glb").refusal
     assert "or .json for cameras" in tso("convert", "initial.ply", tmp_path / "a.las").refusal
@@ -177,4 +204,16 @@ def test_mask_shows_what_would_be_used_and_writes_it(tso, tmp_path, folder):
     assert "columns" in text
     assert "holds several labels" in tso("mask", FILES / "masks/palette.png").refusal
     assert json.loads(tso("mask", "mask.png", "--invert-mask", "--json").out)["foreground"] > 32768
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    with Image.open("mask.png") as image:
+        image.convert("L").crop((0, 0, 256, 200)).save(tmp_path / "turned.png", exif=exif)
+    run = tso("mask", tmp_path / "turned.png")
+    assert "turned.png: 200x256" in run.out
+    assert (
+        "turned    upright, by EXIF orientation 6; stored as 256x200, and tso refine with a camera "
+        "file takes it as stored"
+    ) in run.out
+    assert "turned    upright" not in text
+    assert tso("mask", tmp_path / "turned.png", "--json").document["exif_orientation"] == 6
     assert "is the input" in tso("mask", "mask.png", "-o", "mask.png", "--overwrite").refusal

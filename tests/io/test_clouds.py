@@ -11,6 +11,7 @@ import trimesh
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.errors import InputError, TsoError
 from tso_cli.io.clouds import read_cloud, write_cloud
+from tso_cli.io.shapes import read_shape
 
 POINTS = np.array([[0.1, -2.5, 3.0], [1e-7, 4.25, -0.0], [7.0, 1 / 3, -9.875], [0.5, 0.5, 0.5]])
 FACES = [[0, 1, 2], [0, 1, 2, 3], [1, 2, 3]]
@@ -358,6 +359,47 @@ def test_files_that_cannot_be_opened_are_refused(save, tmp_path):
             read_cloud(tmp_path / name)
 
 
+class Point:
+    """An entry point, as importlib.metadata gives it."""
+
+    def __init__(self, name, read):
+        self.name, self.read = name, read
+
+    def load(self):
+        return self.read
+
+
+def test_a_reader_of_clouds_of_another_package_is_asked_for_its_suffix(save, tmp_path, monkeypatch):
+    """As in docs/files.md: a package may register a reader."""
+    import importlib.metadata as metadata
+
+    from tests.io.cloud_plugin_example import read
+
+    def with_faces(data, path):
+        return POINTS, np.array([[0, 1, 2]])
+
+    def fails(data, path):
+        raise ValueError("of no use")
+
+    registered = {"f32": read, "las": with_faces, "bad": fails, "two": lambda data, path: [[1, 2]]}
+    monkeypatch.setattr(
+        metadata, "entry_points", lambda group: [Point(*item) for item in registered.items()]
+    )
+    cloud = read_cloud(save("a.F32", POINTS.astype("<f4").tobytes()))
+    assert np.array_equal(cloud.points, POINTS.astype("f4"))
+    assert cloud.precision == "float32"
+    cloud = read_cloud(save("a.las", b"LASF"))  # a suffix that is known and not read by tso
+    assert np.array_equal(cloud.points, POINTS)
+    assert cloud.faces().tolist() == [[0, 1, 2]]
+    assert np.array_equal(read_shape(tmp_path / "a.F32"), POINTS.astype("f4"))
+    assert_refused(
+        r"a\.bad: the reader of \.bad that another package registered failed \(ValueError: of no",
+        read_cloud, save("a.bad", b"x"),
+    )  # fmt: skip
+    assert_refused(r"a\.two: holds int64 \[1, 2\], expected", read_cloud, save("a.two", b"x"))
+    assert_refused(r"\.pcd, \.f32, \.las, \.bad", read_cloud, save("a.other", b"x"))
+
+
 def npy(kind, shape, size):
     """A .npy file with a header of our own and ``size`` zero bytes."""
     header = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}\n".encode()
@@ -393,7 +435,7 @@ def test_nothing_is_written_for_points_that_cannot_be(save, tmp_path):
     for points, error, message in [
         (np.vstack([POINTS[:3], [np.nan, 0.5, 0.5]]), TsoError, r"b\.ply: point 3 is not finite"),
         (POINTS[:3], InputError, "3 points to write, expected 4 as in .*a.ply"),
-        (POINTS * 1e60, TsoError, "does not fit into the float"),
+        (POINTS * 1e60, TsoError, "does not fit into float, as in .*a.ply"),
     ]:
         with pytest.raises(error, match=message):
             write_cloud(tmp_path / "b.ply", points, like=cloud)

@@ -80,6 +80,7 @@ def test_arrays_of_segmenters_are_read(tmp_path):
 
     for name, array in {
         "hw": ONE, "1hw": ONE[None], "11hw": ONE[None, None], "hw1": ONE[..., None],
+        "1hw1": ONE[None, ..., None],
         "same": np.stack([ONE, ONE, ONE]), "float": ONE.astype("f4"), "white": ONE * 255.0,
     }.items():  # fmt: skip
         np.save(tmp_path / f"{name}.npy", array)
@@ -100,6 +101,66 @@ def test_of_several_masks_in_an_array_one_must_be_chosen(tmp_path):
     np.save(tmp_path / "one.npy", ONE)
     assert_refused("is one mask, `mask_index` 0", read_mask, tmp_path / "one.npy",
                    MaskChoice(index=0))  # fmt: skip
+
+
+def test_a_batch_of_masks_is_an_array_of_masks(tmp_path):
+    masks = np.stack([ONE, OTHER, ~ONE])
+    for name, array in {
+        "n1hw": masks[:, None],
+        "1nhw": masks[None],
+        "1n1hw": masks[None, :, None],
+    }.items():
+        path = tmp_path / f"{name}.npy"
+        np.save(path, array)
+        assert_refused(
+            r"holds 3 masks, expected one of 0 \(240 px\), 1 \(264 px\)", read_mask, path
+        )
+        np.testing.assert_array_equal(read_mask(path, MaskChoice(index=1)), OTHER)
+    for name, array in {"1hw": ONE[None], "11hw": ONE[None, None]}.items():
+        np.save(tmp_path / f"{name}.npy", array)
+        np.testing.assert_array_equal(read_mask(tmp_path / f"{name}.npy", MaskChoice(index=0)), ONE)
+    assert_refused("has no mask 1, expected `mask_index` 0 to 0", read_mask,
+                   tmp_path / "1hw.npy", MaskChoice(index=1))  # fmt: skip
+
+
+def test_the_masks_of_sam_are_taken_by_name_and_listed_with_their_scores(tmp_path):
+    path = tmp_path / "sam.npz"
+    np.savez(
+        path, masks=np.stack([ONE, OTHER, ~ONE]), scores=np.float32([0.5, 0.987, 0.1]),
+        logits=np.zeros((3, 64, 64), "f4"), boxes=np.zeros((3, 4)),
+    )  # fmt: skip
+    assert_refused(
+        r"expected one of 0 \(240 px, score 0\.5\), 1 \(264 px, score 0\.987\), 2", read_mask, path
+    )
+    np.testing.assert_array_equal(read_mask(path, MaskChoice(index=1)), OTHER)
+    np.savez(path, alpha=ONE.astype("f4"), image=np.zeros((40, 60, 3), "u1"))
+    np.testing.assert_array_equal(read_mask(path), ONE)
+    np.savez(path, a=ONE, b=ONE)
+    assert_refused("expected one mask .*, or one called masks or mask", read_mask, path)
+
+
+def test_each_segmentation_of_several_pictures_has_the_size_of_its_own(tmp_path):
+    square = [[2, 3, 8, 3, 8, 6, 2, 6]]
+    document = {
+        "images": [
+            {"id": 7, "file_name": "a.jpg", "height": 40, "width": 60},
+            {"id": 9, "file_name": "b.jpg", "height": 20, "width": 30},
+        ],
+        "annotations": [
+            {"image_id": 9, "segmentation": square, "area": 18},
+            {"image_id": 7, "segmentation": square, "area": 18},
+            {"image_id": 5, "segmentation": square, "area": 18},
+        ],
+    }
+    path = tmp_path / "set.json"
+    path.write_text(json.dumps(document))
+    assert_refused(r"expected one of 0 \(18 px, b\.jpg\), 1 \(18 px, a\.jpg\), 2 \(18 px\)",
+                   read_mask, path)  # fmt: skip
+    for index, shape in ((0, (20, 30)), (1, (40, 60))):
+        mask = read_mask(path, MaskChoice(index=index))
+        assert mask.shape == shape
+        assert mask.sum() == 18
+    assert_refused("expected height and width of the picture", read_mask, path, MaskChoice(index=2))
 
 
 def test_logits_are_inside_where_they_are_over_zero(tmp_path):

@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,12 @@ import trimesh
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tests.readme import ROOT
+from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.gltf import GltfFile
 from tso_cli.io.meshes import read_mesh
 from tso_cli.io.obj import ObjFile
+from tso_cli.io.shapes import read_shape
 
 CHAIR = next((ROOT / "examples/meshes/chair").glob("*.ply"))
 SCENE = Path(__file__).with_name("files") / "blender/scene.glb"
@@ -129,7 +132,72 @@ def test_normals_turn_with_the_surface(tmp_path):
     accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]]
     offset = document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
     stored = np.frombuffer(binary, "<f4", 3 * accessor["count"], offset).reshape(-1, 3)
-    np.testing.assert_allclose(stored, mesh.vertex_normals @ turn.T, atol=2e-2)
+    np.testing.assert_allclose(stored, mesh.vertex_normals @ turn.T, atol=1e-6)
+
+
+def stored_normals(path):
+    document, binary = parts_of(path.read_bytes())
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]]
+    offset = document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+    return np.frombuffer(binary, "<f4", 3 * accessor["count"], offset).reshape(-1, 3)
+
+
+def test_normals_under_a_shear_are_those_of_the_surface_in_the_world(tmp_path):
+    shear = a_place()
+    shear[:3, :3] = shear[:3, :3] @ [[1, 0.6, 0], [0, 0.5, 0.2], [0, 0, 1.5]]
+    path, _ = a_glb(tmp_path, shear)
+    cloud = read_cloud(path)
+    to_world = np.linalg.inv(shear[:3, :3])  # of rows, the inverse transpose
+    before = stored_normals(path) @ to_world
+    turn = trimesh.transformations.rotation_matrix(0.9, [3, 1, -1])[:3, :3]
+    write_cloud(tmp_path / "turned.glb", 1.5 * cloud.points @ turn.T + 7.0, like=cloud)
+    after = stored_normals(tmp_path / "turned.glb") @ to_world
+    np.testing.assert_allclose(unit(after), unit(before) @ turn.T, atol=1e-6)
+    # A bend: the normals follow the faces of the moved mesh.
+    bent = cloud.points + np.c_[0.3 * np.sin(cloud.points[:, 1:2]), cloud.points[:, :2] * 0.0]
+    write_cloud(tmp_path / "bent.glb", bent, like=cloud)
+    found = unit(stored_normals(tmp_path / "bent.glb") @ to_world)
+    expected = trimesh.Trimesh(bent, cloud.faces(), process=False).vertex_normals
+    assert np.degrees(np.arccos(np.clip((found * expected).sum(1), -1, 1))).max() < 6.0
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def test_a_shift_leaves_every_normal_as_it_was(tmp_path):
+    path, _ = a_glb(tmp_path, a_place())
+    cloud = read_cloud(path)
+    write_cloud(tmp_path / "shifted.glb", cloud.points + [1.0, 0.5, -3.0], like=cloud)
+    assert np.array_equal(stored_normals(tmp_path / "shifted.glb"), stored_normals(path))
+
+
+def test_the_normals_of_an_obj_turn_exactly_with_all_of_it(tmp_path):
+    mesh = trimesh.creation.icosphere(2, 0.5)
+    (tmp_path / "a.obj").write_text(trimesh.exchange.obj.export_obj(mesh, include_normals=True))
+    cloud = read_cloud(tmp_path / "a.obj")
+    turn = trimesh.transformations.rotation_matrix(0.5, [0, 1, 1])[:3, :3]
+    write_cloud(tmp_path / "b.obj", cloud.points @ turn.T, like=cloud)
+    normals = {
+        name: np.loadtxt(
+            [x[3:] for x in (tmp_path / name).read_text().splitlines() if x[:2] == "vn"]
+        )
+        for name in ("a.obj", "b.obj")
+    }
+    np.testing.assert_allclose(normals["b.obj"], normals["a.obj"] @ turn.T, atol=1e-6)
+
+
+def test_further_parts_of_a_glb_stay(tmp_path):
+    path, _ = a_glb(tmp_path)
+    data = path.read_bytes()
+    extra = struct.pack("<I4s", 8, b"TSO\0") + b"whatever"
+    path.write_bytes(data[:8] + struct.pack("<I", len(data) + len(extra)) + data[12:] + extra)
+    cloud = read_cloud(path)
+    write_cloud(tmp_path / "moved.glb", cloud.points * 1.5, like=cloud)
+    written = (tmp_path / "moved.glb").read_bytes()
+    assert written.endswith(extra)
+    assert struct.unpack_from("<I", written, 8) == (len(written),)
+    np.testing.assert_allclose(read_cloud(tmp_path / "moved.glb").points, cloud.points * 1.5)
 
 
 def test_two_nodes_that_share_a_mesh_are_read_and_not_moved(tmp_path):
@@ -150,7 +218,15 @@ def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
     assert np.abs(read_cloud(tmp_path / "moved.gltf").points - cloud.points - 0.25).max() < 1e-6
     moved = json.loads((tmp_path / "moved.gltf").read_text())
     assert moved["buffers"][0]["uri"].startswith("data:application/octet-stream;base64,")
-    for name in ("../scene.bin", "/etc/passwd", "http://a/b.bin"):
+    assert read_shape(tmp_path / "moved.gltf", samples=100).shape == (100, 3)
+    (tmp_path / "scene.bin").rename(tmp_path / "elsewhere.bin")
+    assert_refused(
+        r"scene\.bin: does not exist, expected the buffer that scene\.gltf names",
+        read_cloud, tmp_path / "scene.gltf",
+    )  # fmt: skip
+    (tmp_path / "scene.bin").symlink_to(tmp_path / "elsewhere.bin")
+    assert len(read_cloud(tmp_path / "scene.gltf").points) == len(cloud.points)
+    for name in ("../scene.bin", "/etc/passwd", "http://a/b.bin", "..%2Fscene.bin"):
         document["buffers"][0]["uri"] = name
         (tmp_path / "bad.gltf").write_text(json.dumps(document))
         assert_refused("expected a file in the same folder", read_cloud, tmp_path / "bad.gltf")
@@ -166,8 +242,22 @@ def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
         ({"meshes": []}, "expected the index of a mesh"),
         (
             {"nodes": [{"children": [1]}, {"children": [0]}], "scenes": []},
-            "is below itself, expected nodes as a tree",
+            "node 0 is its own ancestor, expected a tree of nodes",
         ),
+        (
+            {"extensionsRequired": ["KHR_materials_unlit", "ACME_folded_space"]},
+            "requires the extension ACME_folded_space, which tso does not know",
+        ),
+        ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "its meshes use Draco"),
+        (
+            {"accessors": [{"type": "VEC2", "componentType": 5126, "bufferView": 0}] * 3},
+            r"accessors\[\d\] is VEC2 of component type 5126, expected VEC3 .*type 5120, 5121",
+        ),
+        (
+            {"bufferViews": [{"buffer": 0, "byteLength": 10**9}] * 3},
+            r"bufferViews\[\d\] is bytes 0 to 1000000000 of buffer 0, expected a part of its",
+        ),
+        ({"buffers": [{"uri": "a" * 5000}]}, r"uri is 'aaa.*\.\.\., expected a file in the same"),
         ({"bufferViews": []}, "expected the index of a view"),
     ],
 )
@@ -228,6 +318,39 @@ def test_a_moved_obj_differs_in_the_numbers_that_change_alone(tmp_path):
 def test_the_colours_of_an_obj_stand_after_its_coordinates(tmp_path):
     (tmp_path / "c.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 0.5\nf 1 2 3\n")
     assert read_cloud(tmp_path / "c.obj").colours()[2].tolist() == [0.0, 0.0, 0.5]
+
+
+def test_a_weight_stands_between_the_coordinates_and_the_colour(tmp_path):
+    text = "v 0 0 0 1.0 1 0 0\nv 1 0 0 1.0 0 1 0\nv 0 1 0 1.0 0 0 0.5 # red\nf 1 2 3\n"
+    (tmp_path / "w.obj").write_text(text)
+    cloud = read_cloud(tmp_path / "w.obj")
+    assert cloud.points.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    assert cloud.colours()[2].tolist() == [0.0, 0.0, 0.5]
+    write_cloud(tmp_path / "moved.obj", cloud.points + [0, 0, 0.5], like=cloud)
+    moved = text.replace(" 0 1.0 ", " 0.5 1.0 ")
+    assert (tmp_path / "moved.obj").read_text() == moved
+    (tmp_path / "h.obj").write_text("v 0 0 0 1\nv 1 0 0 2\nv 0 1 0 1\nf 1 2 3\n")
+    with pytest.warns(UserWarning, match="have a weight w that is not 1; weights are for curves"):
+        assert read_cloud(tmp_path / "h.obj").points[1].tolist() == [1, 0, 0]
+
+
+@pytest.mark.parametrize("end", [b"\r", b"\r\n", b"\n"])
+def test_the_ends_of_lines_of_an_obj_stay(tmp_path, end):
+    text = OBJ.replace(b"\r\n", end)
+    (tmp_path / "a.obj").write_bytes(text)
+    cloud = read_cloud(tmp_path / "a.obj")
+    assert len(cloud.points) == 7
+    moved = cloud.points.copy()
+    moved[1, 0] = 1.75
+    write_cloud(tmp_path / "b.obj", moved, like=cloud)
+    written = (tmp_path / "b.obj").read_bytes()
+    lines = [line for line in written.split(end) if not line.startswith(b"vn ")]
+    expected = text.replace(b"1.50000 0 0", b"1.75 0 0").split(end)
+    assert lines == [line for line in expected if not line.startswith(b"vn ")]
+    assert len(read_mesh(tmp_path / "a.obj", textures=False).faces) == 3
+    (tmp_path / "bad.obj").write_bytes(text + end + b"v 0 0")
+    with pytest.raises(InputError, match=f"line {len(text.split(end)) + 1} has 2 numbers"):
+        read_cloud(tmp_path / "bad.obj")
 
 
 @pytest.mark.parametrize(
@@ -302,6 +425,79 @@ def test_damaged_tables_are_read_or_refused(save, tmp_path, name):
     assert_reads_or_refuses(read_cloud, save(name, tables()[1][name]), 60)
 
 
+POINT = [[1.5, 2.0, 3.25], [4.0, 5.0, -6.0]]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x,y,z\n1.5,2,3.25\n4,5,-6\n",
+        "1.5, 2, 3.25\r\n4, 5, -6\r\n",
+        "X;Y;Z;name\n1,5;2,0;3,25;a, b\n4;5;-6;c\n",
+        "x\ty\tz\n1,5\t2\t3,25\n4\t5\t-6\n",
+        "x y  z\n1.5 2  3.25\n 4 5 -6 \n",
+        "x\ty\tz\r1.5\t2\t3.25\r4\t5\t-6\r",
+        "\ufeffid,X,Y,Z\na,1.5,2,3.25\nb,4,5,-6\n",
+        '"label","x","y","z"\n"a, b",1.5,"2",3.25\n"c ""d""",4,5,-6\n',
+        '"Points:0","Points:1","Points:2","v"\n1.5,2,3.25,\n4,5,-6,\n',
+        "time,point_x,point_y,point_z\n2024-01-01 10:00:00,1.5,2,3.25\n2024-01-01 10:00:01,4,5,-6",
+        "stamp;pos_z;pos_y;pos_x\n2024-01-01 10:00:00;3,25;2;1,5\n2024-01-01 10:00:01;-6;5;4\n",
+        "//X,Y,Z,R,G,B\n1.5,2,3.25,255,0,0\n4,5,-6,0,0,9\n",
+        "//X Y Z\n1.5 2 3.25\n4 5 -6\n",
+        "# a scan; of a chair, here\n#x,y,z\n1.5,2,3.25\n# more\n4,5,-6\n,,\n",
+        "1.5,2,3.25,chair_1\n4,5,-6,Stühle\n",
+        ",x,y,z\n0,1.5,2,3.25\n1,4,5,-6\n",
+    ],
+)  # fmt: skip
+def test_tables_with_other_separators_names_and_columns_are_read(save, text):
+    assert read_cloud(save("a.csv", text.encode())).points.tolist() == POINT
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("x,y,z\n1,2,3\n4,,6\n", "line 3 has an empty cell as y, expected a number"),
+        ("x,y,z\n1,2,3\n4,5,6_0\n", "line 3 has '6_0' as z, expected a number"),
+        ("x,y,z\n1,2,3\n4,5\n", "line 3 has 2 columns, expected at least 3"),
+        ("a,b,c\n1,2,3\n", "its columns are a, b, c, expected x, y and z"),
+        ('x,y,z\n1,2,3\n4,5,6,"a\n', "line 3 is no row of a .csv file"),
+        ("x;y;z\n1.000,5;2;3\n", "line 2 has '1.000.5' as x, expected a number"),
+    ],
+)
+def test_a_wrong_row_of_a_csv_is_refused_with_its_line(save, text, says):
+    assert_refused(rf"a\.csv: .*{says}", read_cloud, save("a.csv", text))
+
+
+def test_a_million_rows_of_a_csv_take_seconds():
+    import time
+
+    from tso_cli.io.point_tables import read_points
+
+    data = b"id,x,y,z\n" + b"a,0.123456,-1.25,3.5\n" * 1_000_000
+    start = time.process_time()
+    assert len(read_points(data, Path("a.csv"), 1)) == 1_000_000
+    assert time.process_time() - start < 10.0
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "says"),
+    [
+        ("d.pcd", lambda data: data + "9 9 9 9\n", "has 4 lines of points, POINTS states 3"),
+        ("d.pcd", lambda data: data[: data[:-1].rindex("\n")],
+         "ends early: it has 2 lines of points, POINTS states 3, expected the same"),
+        ("e.pcd", lambda data: data[:-4], "ends early: it has 2 points of 16 bytes, POINTS st"),
+        ("e.pcd", lambda data: data + b"12345", "5 bytes follow its 3 points of 16 bytes"),
+        ("c.pts", lambda data: "4" + data[1:],
+         "ends early: it has 3 lines of points, its first line states 4"),
+        ("c.pts", lambda data: "2" + data[1:], "has 3 lines of points, its first line states 2"),
+        ("f.off", lambda data: data[:-8],
+         "ends early: it has 3 lines after its counts, which state 3 vertices and 1 face"),
+    ],
+)  # fmt: skip
+def test_a_table_of_another_length_than_it_states_is_refused(save, name, change, says):
+    assert_refused(says, read_cloud, save(name, change(tables()[1][name])))
+
+
 def test_arrays_of_networks_are_read(tmp_path):
     import torch
 
@@ -329,12 +525,31 @@ def test_a_result_is_written_as_what_its_suffix_says(tmp_path):
         write_cloud(tmp_path / name, moved, like=cloud)
         np.testing.assert_allclose(read_cloud(tmp_path / name).points, moved, atol=1e-6)
     path, mesh = a_glb(tmp_path, textured=True)
-    with pytest.warns(UserWarning, match="do not go into a .ply; write .glb to keep them"):
+    lost = "its textures, materials, texture coordinates and normals do not go into a .ply; write"
+    with pytest.warns(UserWarning, match=f"{lost} .glb to keep them"):
         write_cloud(tmp_path / "a.ply", read_cloud(path).points, like=read_cloud(path))
     assert (read_cloud(tmp_path / "a.ply").faces() == mesh.faces).all()
     assert_refused(
         "expected .ply or .npy or .xyz", write_cloud, tmp_path / "a.glb", moved, like=cloud
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "lost"),
+    [
+        ("", ""),
+        ("vn 0 0 1\n", "normals"),
+        ("usemtl a\nvt 0 0\n", "materials and texture coordinates"),
+    ],
+)
+def test_a_warning_names_what_a_ply_has_no_place_for_if_it_is_there(tmp_path, text, lost):
+    (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{text}f 1 2 3\n")
+    cloud = read_cloud(tmp_path / "a.obj")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write_cloud(tmp_path / "a.ply", cloud.points, like=cloud)
+    said = [str(one.message).partition("a.obj: ")[2] for one in caught]
+    assert said == ([f"its {lost} do not go into a .ply; write .obj to keep them"] if lost else [])
 
 
 @pytest.mark.parametrize(

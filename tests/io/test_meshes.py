@@ -8,7 +8,7 @@ import pytest
 from trimesh import Trimesh, triangles
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
-from tso_cli.io.meshes import SUFFIXES, Mesh, find_meshes, read_mesh, write_mesh
+from tso_cli.io.meshes import SUFFIXES, Mesh, find_meshes, new_mesh, read_mesh, write_mesh
 
 VERTICES = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 5]], dtype=np.float64)
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int64)
@@ -82,7 +82,7 @@ def test_vertex_colours_are_averaged_over_a_face(tmp_path):
 
 BAD = {
     "pickle.glb": (pickle.dumps({"a": 1}), "not a readable .glb mesh"),
-    "noise.stl": (bytes(range(256)), "mesh"),
+    "noise.stl": (bytes(range(256)), "no STL file"),
     "words.obj": (b"hello\n", "mesh"),
     "cloud.ply": (ply(faces="", counts="4 0").encode(), "no face"),
     "cloud.obj": (b"v 0 0 0\nv 1 1 1\n", "mesh"),
@@ -95,7 +95,35 @@ BAD = {
         "area",
     ),
     "lies.ply": (ply(counts="999999999999 2").encode(), "mesh"),
-    "lies.stl": (bytes(80) + struct.pack("<I", 2**31) + bytes(100), "mesh"),
+    "lies.stl": (bytes(80) + struct.pack("<I", 2**31) + bytes(100), "ends early or is no STL file"),
+    "short.stl": (
+        bytes(80) + struct.pack("<I", 2) + bytes(70),
+        "has 70 bytes after its header, expected 50 for each of the 2 triangles",
+    ),
+    "text.stl": (
+        b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n",
+        "ends early: it has 1 lines with facet and 0 with endfacet",
+    ),
+    "word.stl": (
+        b"solid a\nfacet normal 0 0 1\nvertex 0 o 0\n",
+        "line 3 has '0 o 0', expected x, y",
+    ),
+    "two.stl": (
+        b"solid a\nfacet\nvertex 0 0 0\nvertex 1 0 0\nendfacet\nendsolid\n",
+        "has 2 vertices in 1 facets, expected 3 in each",
+    ),
+    "word.off": (b"OFF\n3 1 0\n0 0 0\n\n1 0\n", "line 5 has '1 0', expected x, y and z"),
+    "face.off": (
+        b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n",
+        "line 6 has '3 0 1', expected the count of corners of a face",
+    ),
+    "comments.off": (b"OFF\n" + b"# " * 5000, "has no counts of vertices and faces after OFF"),
+    "head.stl": (b"x" * 20, "has 0 bytes after its header, expected 50"),
+    "counts.off": (b"OFF\nx y\n", "has no counts of vertices and faces after OFF"),
+    "short.off": (
+        b"OFF # a face\n3 1 0\n0 0 0\n1 0 0\n# none\n",
+        "ends early: it has 2 lines after its counts, which state 3 vertices and 1 face",
+    ),
     "name.txt": (b"1 2 3\n", "suffix"),
 }
 
@@ -115,6 +143,13 @@ def test_any_damage_gives_a_sound_mesh_or_is_refused_in_one_line(tmp_path, suffi
 
     _, refused = assert_reads_or_refuses(read, tetrahedron(tmp_path / f"a{suffix}"), count=120)
     assert refused
+
+
+def test_text_meshes_are_written_with_all_digits():
+    points = np.array([[4e6 + 1 / 3, 1e-9, 0.1], [4e6, 1.0, 2.0], [4e6, 2.0, -1.0]])
+    for suffix, begin in ((".obj", "v "), (".off", "OFF\n3 1 0\n")):
+        text = new_mesh(suffix, points, np.array([[0, 1, 2]])).decode()
+        assert text.startswith(f"{begin}4000000.3333333335 1e-09 0.1\n")
 
 
 def test_meshes_are_found_in_subfolders_sorted_and_hidden_ones_left_out(tmp_path):

@@ -12,7 +12,7 @@ import click
 from ..errors import InputError
 from ..io.cameras import CameraRecord, camera_text, is_there, read_partial_cameras, words_of
 from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
-from ..io.clouds import NEW, read_cloud, write_cloud
+from ..io.clouds import NEW, check_rounding, read_cloud, write_cloud
 from ..io.output import check_output, write_file
 from . import options
 from .options import PATH
@@ -103,11 +103,12 @@ def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
     if suffix in MESHES:
         if faces is None:
             raise InputError(f"{source}: has no faces, expected a mesh for {suffix}")
-        import trimesh
+        from ..io.meshes import new_mesh
 
-        mesh = trimesh.Trimesh(cloud.points, faces, process=False)
-        data = mesh.export(file_type=suffix[1:])
-        write_file(target, data.encode() if isinstance(data, str) else bytes(data), overwrite)
+        if suffix in (".glb", ".stl"):
+            in_all = f"in every {suffix} file"
+            check_rounding(target, cloud.points, in_all, "write .ply, .obj or .off")
+        write_file(target, new_mesh(suffix, cloud.points, faces), overwrite)
     else:
         write_cloud(target, cloud.points, like=cloud, overwrite=overwrite)
     surface = f", {len(faces):,} triangles" if faces is not None else ""

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.view import object_box
-from ..io.images import write_image
+from ..io.images import orientation, write_image
 from ..io.masks import MaskChoice, read_mask
 from ..version import __version__
 from . import options
@@ -48,6 +48,7 @@ def command(
         mask = np.float32(1.0) - mask
     inside = mask > 0.5
     height, width = mask.shape
+    turned = orientation(file)
     pixels = int(np.count_nonzero(inside))
     soft = int(np.count_nonzero((mask > 0.0) & (mask < 1.0)))
     box = object_box(inside) if pixels else None
@@ -56,7 +57,7 @@ def command(
     if as_json:
         options.echo_json({
             "file": file, "width": width, "height": height, "foreground": pixels, "soft": soft,
-            "box": box, "output": output, "version": __version__,
+            "box": box, "exif_orientation": turned, "output": output, "version": __version__,
         })  # fmt: skip
         return
     click.echo(f"{file}: {width}x{height}, {pixels:,} px inside ({pixels / mask.size:.1%})")
@@ -65,5 +66,12 @@ def command(
         click.echo(f"  object    columns {left} to {right - 1}, rows {top} to {bottom - 1}")
     if soft:
         click.echo(f"  soft      {soft:,} px between 0 and 1")
+    if turned != 1:
+        # From 5 on, the picture is turned by a quarter.
+        sides = (height, width) if turned >= 5 else (width, height)
+        click.echo(
+            f"  turned    upright, by EXIF orientation {turned}; stored as {sides[0]}x{sides[1]}, "
+            "and tso refine with a camera file takes it as stored"
+        )
     if output is not None:
         click.echo(f"{output}: picture")

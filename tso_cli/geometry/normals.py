@@ -36,6 +36,26 @@ def turned_normals(
     return turned
 
 
+def rigid_turn(before: Array, after: Array) -> Array | None:
+    """The rotation [3, 3] of a motion that only turns, shifts and scales all vertices alike.
+
+    It is fitted to the vertices ``before`` and ``after`` [V, 3] (Kabsch). None if a vertex is
+    further from it than a millionth of the size, or if the vertices lie on a line.
+    """
+    old, new = before - before.mean(0), after - after.mean(0)
+    left, sizes, right = np.linalg.svd(old.T @ new)
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    if not sizes[1] > 1e-9 * sizes[0] > 0.0:
+        return None
+    turn: Array = (right.T * signs) @ left.T
+    scale = (sizes * signs).sum() / (old**2).sum()
+    gap = np.abs(scale * old @ turn.T - new).max()
+    if gap > 1e-6 * np.abs(new).max():
+        return None
+    # Rounding alone is no turn: what only shifts keeps its normals bit for bit.
+    return np.eye(3) if np.abs(turn - np.eye(3)).max() < 1e-9 else turn
+
+
 def same_places(values: Array) -> Indices:
     """[V], the number of the distinct row that each row of ``values`` [V, C] is."""
     _, index = np.unique(values, axis=0, return_inverse=True)

@@ -24,7 +24,7 @@ def _names(data: bytes, path: Path) -> list[str]:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return archive.namelist()
-    except Exception as error:  # as in `_arrays`
+    except Exception as error:  # zipfile fails in many ways on damaged archives
         raise InputError(f"{path}: is a damaged archive ({reason(error)})") from None
 
 
@@ -55,7 +55,7 @@ def _arrays(data: bytes, path: Path, limit: int | None) -> dict[str, Any]:
                     arrays[entry.filename[: -len(".npy")]] = read_array(values, path)
     except InputError:
         raise
-    except Exception as error:  # zipfile and zlib fail in many ways on damaged archives
+    except Exception as error:  # and so does zlib
         raise InputError(f"{path}: is a damaged archive ({reason(error)})") from None
     return arrays
 

@@ -83,21 +83,34 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     - .ply : text or binary; .glb, .gltf and .obj : all meshes of the scene, at their places;
     - .off, .stl : a mesh;
     - .npy, .npz, .pt : an array [N, 3] or [1, N, 3]; further columns are left out;
-    - .xyz, .txt, .csv, .pts, .pcd : a table with x, y and z.
+    - .xyz, .txt, .csv, .pts, .pcd : a table with x, y and z;
+    - others : by a reader that another package registers (`plugins`).
 
     Raises InputError if the file cannot be read, holds no point, or holds a coordinate that is not
     finite. With ``extended`` it also raises InputError if all points are equal.
     """
     path = Path(path)
     suffix = path.suffix.lower()
+    plugin = None
     if suffix not in SUFFIXES and not path.is_dir():
-        advice = ADVICE.get(suffix, f"expected {', '.join(SUFFIXES)}")
-        raise InputError(
-            f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
-        )
+        from .plugins import readers
+
+        plugin = readers().get(suffix)
+        if plugin is None:
+            advice = ADVICE.get(suffix, f"expected {', '.join((*SUFFIXES, *readers()))}")
+            raise InputError(
+                f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
+            )
     data = read_bytes(path, "a point cloud")
     try:
-        if suffix in MOVABLE:
+        if plugin is not None:
+            from .plugins import read_with
+
+            values, faces = read_with(plugin, data, path)
+            points, precision = point_array(values, path)
+            triangles = None if faces is None else as_triangles(faces, len(points), str(path))
+            cloud = PointCloud(points, path, precision, triangles=triangles)
+        elif suffix in MOVABLE:
             source = _movable(suffix, data, path)
             precision = "float32" if set(source.kinds) == {"f4"} else "float64"
             cloud = PointCloud(source.read(), path, precision, source)
@@ -169,21 +182,10 @@ def write_cloud(
         raise InputError(
             f"{path}: {len(points)} points to write, expected {len(like.points)} as in {like.path}"
         )
-    with np.errstate(over="ignore", invalid="ignore"):
-        rounding = np.abs(points.astype(np.float32) - points).max(initial=0.0)
-    extent = longest_side(points) if len(points) else 0.0
     suffix = path.suffix.lower()
     if like is not None and like.source is not None and like.source.suffix == suffix:
         if "f4" in like.source.kinds:
-            if np.isinf(rounding):
-                raise TsoError(f"{path}: a coordinate does not fit into the float of {like.path}")
-            if rounding > 1e-4 * extent:
-                warnings.warn(
-                    f"{path}: its coordinates are stored as float, as in {like.path}: rounding "
-                    f"moves points by up to {rounding:.2g}, the cloud's longest side is "
-                    f"{extent:.3g}; store the input as double to keep the result",
-                    stacklevel=2,
-                )
+            check_rounding(path, points, f"in {like.path}", "store the input as double")
         data = like.source.with_points(points)
         if (stale := like.source.stale_after_moving) and data is not like.source.data:
             warnings.warn(
@@ -191,10 +193,39 @@ def write_cloud(
                 stacklevel=2,
             )
     else:
+        rounding, extent = _rounding(points)
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         chosen = dtype or (like.precision if like is not None else precise)
         data = _new_file(suffix, points, chosen, like)
     write_file(path, data, overwrite)
+
+
+def check_rounding(path: Path, points: Array, where: str, advice: str) -> None:
+    """Warn if the float of the file ``path`` moves ``points`` by over 1e-4 of the longest side.
+
+    Raises TsoError if a coordinate does not fit into a float. The message says ``where`` else
+    coordinates are stored so, and ends with ``advice``.
+    """
+    rounding, extent = _rounding(points)
+    if np.isinf(rounding):
+        raise TsoError(
+            f"{path}: a coordinate does not fit into float, as {where}, expected at most 3.4e38; "
+            f"{advice}"
+        )
+    if rounding > 1e-4 * extent:
+        warnings.warn(
+            f"{path}: its coordinates are stored as float, as {where}: rounding moves points by up "
+            f"to {rounding:.2g}, the cloud's longest side is {extent:.3g}; {advice} to keep the "
+            "result",
+            stacklevel=3,
+        )
+
+
+def _rounding(points: Array) -> tuple[float, float]:
+    """How far float32 moves a point, and the longest side of all points."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rounding = np.abs(points.astype(np.float32) - points).max(initial=0.0)
+    return float(rounding), longest_side(points) if len(points) else 0.0
 
 
 def output_suffix(source: Path) -> str:
@@ -218,9 +249,9 @@ def check_suffix(path: Path, own: str = "") -> None:
 
 def _new_file(suffix: str, points: Array, dtype: str, like: PointCloud | None) -> bytes:
     if suffix == ".ply":
-        if like is not None and like.source is not None:
+        if like is not None and like.source is not None and like.source.lost_in_ply:
             warnings.warn(
-                f"{like.path}: its textures, materials and normals do not go into a .ply; write "
+                f"{like.path}: its {like.source.lost_in_ply} do not go into a .ply; write "
                 f"{like.source.suffix} to keep them",
                 stacklevel=3,
             )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,10 +22,9 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
-from ..geometry.normals import same_places, turned_normals
+from ..geometry.normals import rigid_turn, same_places, turned_normals
 from .checked import Checked, kind
 from .gltf_scene import (
-    BINARY_CHUNK,
     JSON_CHUNK,
     MAGIC,
     document_of,
@@ -34,7 +34,7 @@ from .gltf_scene import (
     with_bounds,
     with_uri,
 )
-from .movable import MovableFile
+from .movable import MovableFile, in_words
 from .reading import plain, read_bytes
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -45,6 +45,14 @@ _COMPRESSED = {
     "KHR_meshopt_compression": "meshopt",
     "EXT_mesh_gpu_instancing": "GPU instancing",
 }  # fmt: skip
+# Extensions that a file may require: they change neither where vertices are nor which faces join
+# them. Quantised vertices are refused where they are met.
+_HARMLESS = re.compile(
+    r"(KHR_materials_|KHR_texture_|EXT_texture_|MSFT_texture_|KHR_lights_|EXT_lights_|"
+    r"KHR_mesh_quantization$|KHR_xmp|KHR_animation_|EXT_mesh_features$|"
+    r"EXT_structural_metadata$)"
+)
+_LONGEST_NAME = 255  # bytes in the name of a file
 _DATA = "data:"
 
 
@@ -93,20 +101,27 @@ class GltfFile(Checked, MovableFile):
         self._views = objects_of(self, self._document, "bufferViews")
         self._parts: list[_Part] = []
         self._primitives: list[_Primitive] = []
+        self._attributes: set[str] = set()  # of all primitives
         self._collect()
         if not self._parts:
             raise InputError(f"{path}: holds no mesh, expected a scene with one")
 
     def _refuse_compression(self) -> None:
-        used = self._document.get("extensionsUsed", [])
-        if not isinstance(used, list):
-            raise self.error("extensionsUsed", kind(used), "a list")
-        for extension in used:
-            if name := _COMPRESSED.get(str(extension)):
-                raise InputError(
-                    f"{self.path}: its meshes use {name}, which tso does not read; export it "
-                    "without compression and instances (gltf-transform copy, or Blender)"
-                )
+        for key in ("extensionsUsed", "extensionsRequired"):
+            extensions = self._document.get(key, [])
+            if not isinstance(extensions, list):
+                raise self.error(key, kind(extensions), "a list")
+            for extension in map(str, extensions):
+                if name := _COMPRESSED.get(extension):
+                    raise InputError(
+                        f"{self.path}: its meshes use {name}, which tso does not read; export it "
+                        "without compression and instances (gltf-transform copy, or Blender)"
+                    )
+                if key == "extensionsRequired" and not _HARMLESS.match(extension):
+                    raise InputError(
+                        f"{self.path}: requires the extension {plain(extension)}, which tso does "
+                        "not know, expected a scene without it; export it without this extension"
+                    )
 
     def _buffer(self, number: int, buffer: dict[str, Any], binary: bytes) -> bytes:
         uri = buffer.get("uri")
@@ -114,16 +129,19 @@ class GltfFile(Checked, MovableFile):
             return binary
         if not isinstance(uri, str):
             raise self.error(f"buffers[{number}].uri", kind(uri), "text")
-        if uri.startswith(_DATA):
+        if uri[: len(_DATA)].lower() == _DATA:
             try:
                 return base64.b64decode(uri.partition(",")[2], validate=True)
             except (binascii.Error, ValueError):
                 raise self.error(f"buffers[{number}].uri", "not base64", "base64") from None
         name = unquote(uri)
         parts = Path(name.replace("\\", "/")).parts
-        if "://" in name or ".." in parts or not parts or Path(name).is_absolute():
+        outside = "://" in name or ".." in parts or not parts or Path(*parts).is_absolute()
+        if outside or max(len(part.encode("utf-8", "replace")) for part in parts) > _LONGEST_NAME:
             raise self.error(f"buffers[{number}].uri", plain(name), "a file in the same folder")
-        return read_bytes(self.path.parent / Path(*parts), "the buffer of a glTF scene")
+        return read_bytes(
+            self.path.parent / Path(*parts), f"the buffer that {self.path.name} names"
+        )
 
     def _collect(self) -> None:
         nodes = objects_of(self, self._document, "nodes")
@@ -146,6 +164,7 @@ class GltfFile(Checked, MovableFile):
                 attributes = primitive.get("attributes")
                 if not isinstance(attributes, dict) or "POSITION" not in attributes:
                     raise self.error(f"meshes[{index}]", kind(attributes), "POSITION")
+                self._attributes |= attributes.keys()
                 key = number, attributes["POSITION"]
                 if not isinstance(key[1], int):
                     raise self.error(f"meshes[{index}].POSITION", kind(key[1]), "an index")
@@ -240,8 +259,11 @@ class GltfFile(Checked, MovableFile):
         form, component = accessor.get("type"), accessor.get("componentType")
         known = _COMPONENTS.get(component) if isinstance(component, int) else None
         if not isinstance(form, str) or form not in types or known is None:
-            found = f"{kind(form)} of component type {kind(component)}"
-            raise self.error(where, found, " or ".join(types))
+            name = plain(form) if isinstance(form, str) else kind(form)
+            *most, last = _COMPONENTS
+            components = f"{', '.join(map(str, most))} or {last}"
+            wanted = f"{' or '.join(types)} of component type {components}"
+            raise self.error(where, f"{name} of component type {kind(component)}", wanted)
         view_number = accessor.get("bufferView")
         if not isinstance(view_number, int) or not 0 <= view_number < len(self._views):
             raise self.error(f"{where}.bufferView", kind(view_number), "the index of a view")
@@ -261,12 +283,20 @@ class GltfFile(Checked, MovableFile):
         buffer, begin, stride, length, offset, count = (value for value, _ in numbers)
         stride = stride or width * dtype.itemsize
         end = offset + (count - 1) * stride + width * dtype.itemsize if count else offset
-        if buffer >= len(self._buffers) or begin + length > len(self._buffers[buffer]):
+        if buffer >= len(self._buffers):
+            wanted = f"one of the {len(self._buffers)} buffers, from 0"
+            raise self.error(f"bufferViews[{view_number}].buffer", buffer, wanted)
+        size = len(self._buffers[buffer])
+        if begin + length > size:
             raise self.error(
-                f"bufferViews[{view_number}]", "longer than its buffer", "a part of it"
+                f"bufferViews[{view_number}]",
+                f"bytes {begin:.15g} to {begin + length:.15g} of buffer {buffer}",
+                f"a part of its {size:,} bytes; the buffer ends early or the scene is damaged",
             )
         if count == 0 or end > length:
-            raise self.error(where, f"{count} values", "as many as its view holds, 1 or more")
+            raise self.error(
+                f"{where}.count", f"{count:.15g}", "1 or more, as many as its view holds"
+            )
         return buffer, begin + offset, dtype, count, width, stride
 
     def read(self) -> Array:
@@ -282,6 +312,19 @@ class GltfFile(Checked, MovableFile):
         faces = [one.triangles + one.part.first for one in self._primitives]
         joined = np.concatenate(faces) if faces else np.empty((0, 3), np.int64)
         return joined if len(joined) else None
+
+    @property
+    def lost_in_ply(self) -> str:
+        """What of the scene a new .ply has no place for."""
+        names = self._attributes
+        held = {
+            "textures": self._document.get("textures"),
+            "materials": self._document.get("materials"),
+            "texture coordinates": "TEXCOORD_0" in names,
+            "colours": "COLOR_0" in names,
+            "normals": "NORMAL" in names,
+        }
+        return in_words(name for name, there in held.items() if there)
 
     def require_movable(self) -> None:
         """Raise InputError if two nodes share vertices, which could not move apart."""
@@ -326,7 +369,10 @@ class GltfFile(Checked, MovableFile):
         return self._assembled(buffers, bounds)
 
     def _turn_directions(self, buffers: list[bytearray], before: Array, after: Array) -> None:
-        """Turn normals and tangents with the faces around them."""
+        """Turn normals and tangents with their part, or with the faces around them.
+
+        A part that moves as a whole turns them exactly.
+        """
         done: set[int] = set()
         for primitive in self._primitives:
             for accessor, form in ((primitive.normal, "VEC3"), (primitive.tangent, "VEC4")):
@@ -337,16 +383,26 @@ class GltfFile(Checked, MovableFile):
                 part = primitive.part
                 if target.dtype != np.dtype("<f4") or len(target) != part.count:
                     continue
+                span = slice(part.first, part.first + part.count)
+                matrix = part.matrix[:3, :3]
+                inverse = np.linalg.inv(matrix)
+                directions = _as_double(target[:, :3])
+                turn = rigid_turn(before[span], after[span])
+                if turn is not None:
+                    if not np.array_equal(turn, np.eye(3)):
+                        # A node may shear its mesh: normals go by the inverse of the transpose.
+                        to_world = inverse.T if accessor == primitive.normal else matrix
+                        alike = directions @ (np.linalg.inv(to_world) @ turn @ to_world).T
+                        with np.errstate(all="ignore"):
+                            target[:, :3] = alike * _ratio(directions, alike)[:, None]
+                    continue
                 faces = np.concatenate([
                     one.triangles for one in self._primitives
                     if one.part is part and accessor in (one.normal, one.tangent)
                 ])  # fmt: skip
-                span = slice(part.first, part.first + part.count)
-                inverse = np.linalg.inv(part.matrix[:3, :3])
                 local = [
                     (points[span] - part.matrix[:3, 3]) @ inverse.T for points in (before, after)
                 ]
-                directions = _as_double(target[:, :3])
                 # Copies of a vertex along a seam of the texture have the same normal: one group.
                 group = same_places(np.c_[np.round(local[0], 9), np.round(directions, 6)])
                 firsts = np.unique(group, return_index=True)[1]
@@ -371,13 +427,22 @@ class GltfFile(Checked, MovableFile):
             return text.encode()
         head = text.rstrip(" ").encode()
         head += b" " * (-len(head) % 4)
+        stated, length = struct.unpack_from("<II", self.data, 8)
+        rest = self.data[20 + length :]  # the binary chunk, and any others
         own = next((i for i, one in enumerate(documents) if "uri" not in one), None)
-        chunks = struct.pack("<I4s", len(head), JSON_CHUNK) + head
-        if own is not None:
+        if own is not None and rest:
             binary = bytes(buffers[own])
-            chunks += struct.pack("<I4s", len(binary), BINARY_CHUNK) + binary
-        version = self.data[4:8]
-        return MAGIC + version + struct.pack("<I", 12 + len(chunks)) + chunks
+            rest = rest[:8] + binary + rest[8 + len(binary) :]
+        # Bytes after the length that the file states stay outside of it.
+        total = max(20 + len(head) + len(rest) - max(len(self.data) - stated, 0), 0)
+        chunk = struct.pack("<I4s", len(head), JSON_CHUNK) + head
+        return self.data[:8] + struct.pack("<I", total) + chunk + rest
+
+
+def _ratio(one: Array, other: Array) -> Array:
+    """[K], how much longer the rows of ``one`` [K, 3] are than those of ``other``."""
+    lengths = np.linalg.norm(one, axis=1), np.linalg.norm(other, axis=1)
+    return np.asarray(lengths[0] / np.maximum(lengths[1], 1e-300))
 
 
 def _as_double(values: NDArray[Any]) -> Array:

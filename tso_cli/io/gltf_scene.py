@@ -80,7 +80,8 @@ def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:
             at = parent[at]
             if at in chain:
                 raise InputError(
-                    f"{checked.path}: the node {at} is below itself, expected nodes as a tree"
+                    f"{checked.path}: node {at} is its own ancestor, expected a tree of nodes; "
+                    "export the scene again"
                 )
         for one in reversed(chain):
             above = places.get(parent.get(one, -1))

@@ -42,6 +42,9 @@ SUFFIXES = (
 UNDERSHOOT = 0.2
 # The background of a photo is plain if this share of its border is this close to one colour.
 PLAIN, PLAIN_SHARE = 12, 0.97
+# What the array of masks is called in a file with several arrays, and that of their scores.
+MASK_NAMES = ("masks", "mask", "segmentation", "alpha", "pred")
+SCORE_NAMES = ("scores", "iou_predictions")
 # The most masks in one array [N, H, W]; more are the rows of a picture.
 MOST_MASKS = 64
 
@@ -69,8 +72,8 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
     3. its brightness (of a colour the largest channel).
 
     Integers are divided by the largest value of their type. An array is [H, W], or one of several
-    [N, H, W] in a .npy, .npz or .pt file; values below 0 are logits. A JSON file holds run lengths
-    or polygons of COCO. ``upright`` is as in `read_image`.
+    [N, H, W] or [N, 1, H, W] in a .npy, .npz or .pt file; values below 0 are logits. A JSON file
+    holds run lengths or polygons of COCO. ``upright`` is as in `read_image`.
 
     Raises InputError if the file is not a readable mask, has over 100 megapixels, has values
     outside [0, 1], or holds several masks and none is chosen.
@@ -305,19 +308,25 @@ def labels_of(codes: NDArray[Any], lossy: bool = False) -> dict[int, int]:
 def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
     """A mask of a .npy, .npz or .pt file."""
     fitting = {name: np.asarray(array) for name, array in arrays.items() if np.ndim(array) >= 2}
-    if len(fitting) != 1:
+    named = [name for name in MASK_NAMES if name in fitting]
+    if len(fitting) != 1 and not named:
         shapes = ", ".join(f"{plain(name)} {list(np.shape(a))}" for name, a in arrays.items())
-        raise InputError(f"{path}: holds {shapes or 'no array'}, expected one mask [H, W]")
-    (array,) = fitting.values()
+        raise InputError(
+            f"{path}: holds {shapes or 'no array'}, expected one mask [H, W], or one called "
+            f"{' or '.join(MASK_NAMES[:2])}"
+        )
+    array = fitting[named[0]] if named else next(iter(fitting.values()))
     shape = list(array.shape)
-    while array.ndim > 2 and array.shape[0] == 1:
-        array = array[0]
-    if array.ndim == 3 and array.shape[2] == 1:
+    while array.ndim > 3 and 1 in array.shape[:2]:
+        # A batch [N, 1, H, W] or [1, N, H, W].
+        array = array.reshape(array.shape[0] * array.shape[1], *array.shape[2:])
+    if array.ndim == 3 and array.shape[0] != 1 and array.shape[2] == 1:
         array = array[..., 0]
     # A last side of 3 or 4 is that of colours.
     stack = array.ndim == 3 and array.shape[0] <= MOST_MASKS and array.shape[2] > 4
-    if stack and array.dtype.kind in "bfiu":
-        array = _one_of(array, path, choice)
+    if (stack or array.ndim == 3 and array.shape[0] == 1) and array.dtype.kind in "bfiu":
+        scores = [np.ravel(arrays[name]) for name in SCORE_NAMES if name in arrays]
+        array = _one_of(array, path, choice, scores[0] if scores else np.empty(0))
     else:
         _refuse_index(path, choice)
     if array.ndim != 2 or array.dtype.kind not in "bfiu" or 0 in array.shape:
@@ -340,13 +349,22 @@ def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
     return to_unit(array, path)
 
 
-def _one_of(array: NDArray[Any], path: Path, choice: MaskChoice) -> NDArray[Any]:
-    """One mask of [N, H, W]; masks that are all the same are one."""
+def _one_of(
+    array: NDArray[Any], path: Path, choice: MaskChoice, scores: NDArray[Any]
+) -> NDArray[Any]:
+    """One mask of [N, H, W]; masks that are all the same are one.
+
+    ``scores`` : of the masks, or of other things.
+    """
     if choice.index is None:
         if (array == array[:1]).all():
             one: NDArray[Any] = array[0]
             return one
-        sizes = [f"{i} ({np.count_nonzero(mask > 0):,} px)" for i, mask in enumerate(array)]
+        fits = len(scores) == len(array) and scores.dtype.kind in "fiu"
+        known = [f", score {score:.3g}" for score in scores.tolist()] if fits else [""] * len(array)
+        sizes = [
+            f"{i} ({np.count_nonzero(mask > 0):,} px{known[i]})" for i, mask in enumerate(array)
+        ]
         more = ", ..." if len(sizes) > MOST_LISTED else ""
         raise InputError(
             f"{path}: holds {len(array)} masks, expected one of "
@@ -383,11 +401,11 @@ def _of_coco(data: bytes, path: Path, choice: MaskChoice) -> Floats:
         document = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is not JSON ({reason(error)}), expected a mask") from None
-    size = None
+    pictures: list[dict[str, Any]] = []
     if isinstance(document, dict) and isinstance(document.get("annotations"), list):
-        pictures = document.get("images")
-        if isinstance(pictures, list) and len(pictures) == 1 and isinstance(pictures[0], dict):
-            size = pictures[0].get("height"), pictures[0].get("width")
+        images = document.get("images")
+        if isinstance(images, list):
+            pictures = [image for image in images if isinstance(image, dict)]
         document = document["annotations"]
     entries = document if isinstance(document, list) else [document]
     if not entries or not all(isinstance(entry, dict) for entry in entries):
@@ -397,11 +415,15 @@ def _of_coco(data: bytes, path: Path, choice: MaskChoice) -> Floats:
     number = choice.index
     if number is None:
         if len(entries) > 1:
-            areas = [f"{i} ({entry.get('area', '?')} px)" for i, entry in enumerate(entries)]
-            more = ", ..." if len(areas) > MOST_LISTED else ""
+            listed = []
+            for i, entry in enumerate(entries[:MOST_LISTED]):
+                of = _picture_of(entry, pictures) if len(pictures) > 1 else None
+                name = f", {of.get('file_name', of.get('id'))}" if of else ""
+                listed.append(plain(f"{i} ({entry.get('area', '?')} px{name})"))
+            more = ", ..." if len(entries) > MOST_LISTED else ""
             raise InputError(
                 f"{path}: holds {len(entries)} segmentations, expected one of "
-                f"{', '.join(map(plain, areas[:MOST_LISTED]))}{more}: `mask_index` N"
+                f"{', '.join(listed)}{more}: `mask_index` N"
             )
         number = 0
     if not 0 <= number < len(entries):
@@ -411,9 +433,17 @@ def _of_coco(data: bytes, path: Path, choice: MaskChoice) -> Floats:
     entry = entries[number]
     segmentation = entry.get("segmentation", entry)
     if isinstance(segmentation, list):
-        height, width = size or (entry.get("height"), entry.get("width"))
-        return _of_polygons(segmentation, height, width, path)
+        picture = _picture_of(entry, pictures) or entry
+        return _of_polygons(segmentation, picture.get("height"), picture.get("width"), path)
     return _of_run_lengths(segmentation, path)
+
+
+def _picture_of(entry: dict[str, Any], pictures: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """The picture that an annotation is of: the only one, or the one with its ``image_id``."""
+    if len(pictures) == 1:
+        return pictures[0]
+    number = entry.get("image_id")
+    return next((one for one in pictures if number is not None and one.get("id") == number), None)
 
 
 def _sides(height: Any, width: Any, path: Path) -> tuple[int, int]:

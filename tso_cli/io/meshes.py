@@ -1,4 +1,4 @@
-"""Triangle meshes: reads PLY, OBJ, OFF, STL and GLB; writes PLY."""
+"""Triangle meshes: reads PLY, OBJ, OFF, STL and GLB; writes them without textures."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
+from .mesh_checks import check_off, check_stl
 from .obj import simplified
 from .output import reason, write_file
 from .ply import new_ply
@@ -154,6 +155,8 @@ def _load_parts(
             kind = path.suffix.lower()[1:]
             if kind == "obj":
                 content = simplified(content)
+            elif kind in ("off", "stl"):
+                (check_off if kind == "off" else check_stl)(content, path)
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )
@@ -163,6 +166,8 @@ def _load_parts(
                 vertices = np.array(getattr(part, "vertices", ()), dtype=np.float64)
                 faces = np.array(getattr(part, "faces", ()), dtype=np.int64)
                 parts.append((part, vertices.reshape(-1, 3), faces.reshape(-1, 3)))
+    except InputError:
+        raise
     # A damaged file can make the parser raise anything.
     except Exception as error:
         raise InputError(
@@ -188,6 +193,30 @@ def _face_colours(part: Any, count: int) -> Pixels | None:
         return colours if visual.kind is not None and colours.shape == (count, 3) else None
     except Exception:
         return None
+
+
+def new_mesh(suffix: str, points: Array, faces: Indices) -> bytes:
+    """The bytes of a .obj, .off, .stl or .glb file of ``points`` and ``faces``, without colours.
+
+    Text has the digits that give the same numbers again.
+    """
+    if suffix in (".stl", ".glb"):
+        import trimesh
+
+        mesh = trimesh.Trimesh(points, faces, process=False)
+        data = mesh.export(file_type=suffix[1:])
+        assert isinstance(data, bytes)
+        return data
+    single = points.astype(np.float32)
+    rows = (single if np.array_equal(single, points) else points).astype("S32").astype(str)
+    if suffix == ".obj":
+        lines = [f"v {x} {y} {z}" for x, y, z in rows.tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1).tolist()]
+    else:
+        lines = ["OFF", f"{len(points)} {len(faces)} 0"]
+        lines += [f"{x} {y} {z}" for x, y, z in rows.tolist()]
+        lines += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
+    return "\n".join([*lines, ""]).encode()
 
 
 def write_mesh(path: Path, mesh: Mesh, overwrite: bool = False) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from ..geometry.arrays import Array, Bits, Indices
 
@@ -46,5 +46,16 @@ class MovableFile(ABC):
         """What is wrong once the points have moved, such as "normals"; "" if nothing is."""
         return ""
 
+    @property
+    def lost_in_ply(self) -> str:
+        """What a new .ply of the points and faces has no place for; "" if nothing is lost."""
+        return ""
+
     def require_movable(self) -> None:  # noqa: B027
         """Raise InputError if the file cannot be written with other points."""
+
+
+def in_words(names: Iterable[str]) -> str:
+    """The names as a sentence lists them: "textures, materials and normals"; "" for none."""
+    *most, last = [*names] or [""]
+    return f"{', '.join(most)} and {last}" if most else last

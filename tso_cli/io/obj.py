@@ -7,6 +7,7 @@ texture coordinates and comments.
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +16,16 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
-from ..geometry.normals import turned_normals
-from .movable import MovableFile
+from ..geometry.normals import rigid_turn, turned_normals
+from .movable import MovableFile, in_words
 from .ply_body import spliced
 from .reading import plain, require_memory
 
+# The end of a line on old Macs. A line feed in its place keeps every byte where it is.
+_LONE_RETURN = re.compile(rb"\r(?!\n)")
 # A line that continues on the next one ends with a backslash.
 _CONTINUED = re.compile(rb"\\\r?\n")
-_LINE = re.compile(rb"^[ \t]*(v|vn|f)[ \t]+([^\r\n]*)", re.MULTILINE)
+_LINE = re.compile(rb"^[ \t]*(v|vn|f)[ \t]+([^\r\n#]*)", re.MULTILINE)
 _WORD = re.compile(rb"[^ \t]+")
 
 
@@ -32,6 +35,7 @@ def simplified(data: bytes) -> bytes:
     A line stands for itself, no comment follows a value, and faces count all vertices, texture
     points and normals from 1: relative indices, which count back, depend on where the face stands.
     """
+    data = _LONE_RETURN.sub(b"\n", data)
     if not re.search(rb"\\\r?\n|[ \t/]-\d|[^\s#][^\n#]*#", data):
         return data
     counts = {b"v": 0, b"vt": 0, b"vn": 0}
@@ -69,15 +73,15 @@ class ObjFile(MovableFile):
         self.data, self.path = data, path
         require_memory(path, 20 * len(data))
         # Spaces in place of the line break keep every byte where it is.
-        text = _CONTINUED.sub(lambda match: b" " * len(match[0]), data)
+        self._lines = _LONE_RETURN.sub(b"\n", data)
+        text = _CONTINUED.sub(lambda match: b" " * len(match[0]), self._lines)
         rows: dict[bytes, list[tuple[int, list[tuple[int, int]]]]] = {b"v": [], b"vn": [], b"f": []}
         self._faces: list[tuple[int, int, list[bytes]]] = []  # vertices and normals so far, words
         for match in _LINE.finditer(text):
             kind, begin = match[1], match.start(2)
             if kind == b"f":
                 seen = len(rows[b"v"]), len(rows[b"vn"])
-                words = match[2].partition(b"#")[0].split()
-                self._faces.append((*seen, words))
+                self._faces.append((*seen, match[2].split()))
                 continue
             spans = [(begin + w.start(), begin + w.end()) for w in _WORD.finditer(match[2])]
             rows[kind].append((begin, spans))
@@ -86,7 +90,18 @@ class ObjFile(MovableFile):
         self._spans = self._of_three(rows[b"v"])
         self._normal_spans = self._of_three(rows[b"vn"]) if rows[b"vn"] else None
         coloured = all(len(spans) >= 6 for _, spans in rows[b"v"])
-        self._colour_spans = np.array([spans[3:6] for _, spans in rows[b"v"]]) if coloured else None
+        self._colour_spans = (
+            np.array([s[4:7] if len(s) > 6 else s[3:6] for _, s in rows[b"v"]])
+            if coloured
+            else None
+        )
+        weights = [s[3:4] for _, s in rows[b"v"] if len(s) in (4, 7)]
+        if weights and (self._numbers(np.array(weights)) != 1.0).any():
+            warnings.warn(
+                f"{path}: some of its vertices have a weight w that is not 1; weights are for "
+                "curves, so x, y and z are used as they are",
+                stacklevel=4,
+            )
         self._points = self._numbers(self._spans)
         self._triangles, self._normals = self._triangulated()
 
@@ -94,7 +109,7 @@ class ObjFile(MovableFile):
         """[N, 3, 2], begin and end of the first three words of each row."""
         for begin, spans in rows:
             if len(spans) < 3:
-                line = self.data.count(b"\n", 0, begin) + 1
+                line = self._lines.count(b"\n", 0, begin) + 1
                 raise InputError(
                     f"{self.path}: line {line} has {len(spans)} numbers, expected x, y and z"
                 )
@@ -108,7 +123,7 @@ class ObjFile(MovableFile):
                 try:
                     values[row, column] = float(word if b"_" not in word else b"")
                 except ValueError:
-                    line = self.data.count(b"\n", 0, begin) + 1
+                    line = self._lines.count(b"\n", 0, begin) + 1
                     text = plain(word.decode("ascii", "backslashreplace"))
                     raise InputError(
                         f"{self.path}: line {line} has {text}, expected a number"
@@ -170,6 +185,17 @@ class ObjFile(MovableFile):
             )
         return colours
 
+    @property
+    def lost_in_ply(self) -> str:
+        """What of the file a new .ply has no place for."""
+        held = {
+            "materials": re.search(rb"^[ \t]*usemtl\b", self._lines, re.MULTILINE),
+            "texture coordinates": re.search(rb"^[ \t]*vt\b", self._lines, re.MULTILINE),
+            "colours": self._colour_spans is not None,
+            "normals": self._normal_spans is not None,
+        }
+        return in_words(name for name, there in held.items() if there)
+
     def with_points(self, points: Array) -> bytes:
         """The file with its vertices moved to ``points`` [V, 3]."""
         if np.array_equal(self._points, points):
@@ -179,9 +205,13 @@ class ObjFile(MovableFile):
         if self._normal_spans is not None and used.any():
             normals = self._numbers(self._normal_spans)
             whole = used.all(1)
-            turned = turned_normals(
-                normals, self._normals[whole], self._triangles[whole], self._points, points
-            )
+            turn = rigid_turn(self._points, points)
+            if turn is not None:
+                turned = normals @ turn.T
+            else:
+                turned = turned_normals(
+                    normals, self._normals[whole], self._triangles[whole], self._points, points
+                )
             changes.append(self._changes(self._normal_spans, normals, turned))
         starts, ends, words = (np.concatenate(part) for part in zip(*changes, strict=True))
         return spliced(self.data, 0, starts, ends, words)

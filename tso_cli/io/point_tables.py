@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import itertools
 import re
 import warnings
+from array import array
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array
-from .reading import TextTable, plain, require_memory
+from .output import reason
+from .reading import TextTable, plain, require_memory, shown
 
 AXES = ("x", "y", "z")
+# What a column of x is called: plainly, by scanners, and by ParaView.
+_NAMES = ("{0}", "point_{0}", "pos_{0}", "points:{1}", "points_{1}")
+_SEPARATORS = ("\t", ";", ",")  # of a .csv file without blanks between its values
+_FIRST_LINES = 10  # of a .csv file, which say what separates its values
 _PCD_TYPES = {
     ("F", 4): "<f4", ("F", 8): "<f8", ("I", 1): "i1", ("I", 2): "<i2", ("I", 4): "<i4",
     ("I", 8): "<i8", ("U", 1): "u1", ("U", 2): "<u2", ("U", 4): "<u4", ("U", 8): "<u8",
 }  # fmt: skip
-_SEPARATORS = bytes.maketrans(b",;", b"  ")
 
 
 def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
@@ -25,53 +34,125 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
     suffix = path.suffix.lower()
     if suffix == ".pcd":
         return _of_pcd(data, path, bytes_per_point)
+    if suffix == ".csv":
+        require_memory(path, bytes_per_point * data.count(b"\n"))
+        return _of_csv(data, path)
     # A line of numbers takes at most 800 bytes while it is read.
     require_memory(path, 800 * data.count(b"\n"))
-    columns = (0, 1, 2)
-    if suffix == ".csv":
-        columns, data = _of_header(data, path)
-        data = data.translate(_SEPARATORS)
     table = TextTable(data, path)
     table.drop_comments()
+    stated = -1
     if suffix == ".pts" and len(table.counts) > 1 and table.counts[0] == 1:
         # The first line of a .pts file is the number of points.
+        stated = table.values(table.first[:1])[0]
         table.first, table.counts = table.first[1:], table.counts[1:]
         table.numbers = table.numbers[1:]
-    needed = max(columns) + 1
-    short = table.counts < needed
+    short = table.counts < 3
     if short.any():
         row = int(short.argmax())
         raise InputError(
             f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, "
-            f"expected at least {needed}, separated by blanks"
+            "expected at least 3, separated by blanks"
         )
-    points = table.values(table.first[:, None] + np.array(columns))
-    if table.counts.max(initial=3) > 3 and suffix not in (".csv", ".pts"):
+    if stated >= 0:
+        _check_count(path, len(table.first), stated, "its first line")
+    points = table.values(table.first[:, None] + np.arange(3))
+    if table.counts.max(initial=3) > 3 and suffix != ".pts":
         warnings.warn(
             f"{path}: only the first three of its columns are used, as x y z", stacklevel=4
         )
     return points
 
 
-def _of_header(data: bytes, path: Path) -> tuple[tuple[int, int, int], bytes]:
-    """The columns of x, y and z of a .csv file, and its text with the header blanked."""
-    line, _, _ = data.lstrip(b"\xef\xbb\xbf").partition(b"\n")
-    words = [word.strip(b" \t\r\"'/#").lower() for word in re.split(rb"[,;\t]", line)]
-    if not any(re.search(rb"[a-df-z]", word) for word in words):
-        return (0, 1, 2), data
-    names = [word.decode("ascii", "replace") for word in words]
-    places = []
-    for axis in AXES:
-        found = [
-            i for i, name in enumerate(names) if name in (axis, f"point_{axis}", f"pos_{axis}")
-        ]
-        if len(found) != 1:
+def _check_count(path: Path, found: int, stated: float, where: str) -> None:
+    """Raise InputError unless a file has as many points as it states."""
+    if found != stated:
+        begin = "ends early: it has" if found < stated else "has"
+        raise InputError(
+            f"{path}: {begin} {found:,} lines of points, {where} states {stated:,.15g}, expected "
+            "the same; write the file again"
+        )
+
+
+def _of_csv(data: bytes, path: Path) -> Array:
+    """The points of a .csv file: the columns called x, y and z, or the first three."""
+    separator = _separator(data)
+    if separator in "\t;":
+        data = data.replace(b",", b".")  # commas are decimal where they do not separate
+    text = io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", errors="replace", newline=None)
+    rows = csv.reader(text, delimiter=separator, skipinitialspace=True, strict=True)
+    # float() would read 1_0 as 10, and digits of other scripts.
+    number = float if data.isascii() and b"_" not in data else _number
+    values = array("d")
+    try:
+        columns, first = _header(rows, path)
+        begin, middle, end = columns
+        for row in itertools.chain(first, rows):
+            if not row or row[0].startswith("#"):
+                continue
+            try:
+                values.extend((number(row[begin]), number(row[middle]), number(row[end])))
+            except (ValueError, IndexError):
+                if any(row):  # spreadsheets write lines of separators alone
+                    raise _wrong_row(path, rows.line_num, row, columns) from None
+    except csv.Error as error:
+        raise InputError(
+            f"{path}: line {rows.line_num} is no row of a .csv file ({reason(error)}), expected "
+            "values and separators, and quotes in pairs"
+        ) from None
+    return np.array(values).reshape(-1, 3)
+
+
+def _separator(data: bytes) -> str:
+    """What stands between values in each of the first lines: tab, semicolon or comma, or blanks."""
+    lines = [line.strip() for line in data[: 1 << 20].splitlines()]
+    lines = [re.sub(rb'"[^"]*"', b"", line) for line in lines if line][:_FIRST_LINES]
+    # A comment may have any words, but a header may begin like a comment.
+    lines = [line for line in lines if not line.startswith(b"#")] or lines
+    return next((s for s in _SEPARATORS if all(s.encode() in line for line in lines)), " ")
+
+
+def _header(rows: Iterator[list[str]], path: Path) -> tuple[tuple[int, int, int], list[list[str]]]:
+    """The columns of x, y and z, and the first row if that has numbers."""
+    for row in rows:
+        names = [cell.strip(" \"'/#").lower() for cell in row]
+        for form in _NAMES:
+            wanted = [form.format(axis, place) for place, axis in enumerate(AXES)]
+            if all(names.count(name) == 1 for name in wanted):
+                x, y, z = map(names.index, wanted)
+                return (x, y, z), []
+        if not any(row) or row[0].startswith("#"):
+            continue
+        if re.search(r"[a-df-z]", " ".join(names[:3])):
             raise InputError(
-                f"{path}: its columns are {plain(', '.join(names))}, expected x, y and z"
+                f"{path}: its columns are {plain(', '.join(names))}, expected x, y and z; name "
+                "these columns so"
             )
-        places.append(found[0])
-    start = data.index(line)
-    return (places[0], places[1], places[2]), b" " * (start + len(line)) + data[start + len(line) :]
+        return (0, 1, 2), [row]
+    return (0, 1, 2), []
+
+
+def _number(cell: str) -> float:
+    return float(cell if cell.isascii() and "_" not in cell else "")
+
+
+def _wrong_row(path: Path, line: int, row: list[str], columns: tuple[int, ...]) -> InputError:
+    """The error of a row whose x, y or z is not a number."""
+    if len(row) <= max(columns):
+        found, more = f"{len(row)} columns", f"at least {max(columns) + 1}"
+        return InputError(f"{path}: line {line} has {found}, expected {more}")
+    found = ""
+    for axis, place in zip(AXES, columns, strict=True):
+        try:
+            _number(row[place])
+        except ValueError:
+            cell = row[place].strip()
+            found = f"{shown(cell) if cell else 'an empty cell'} as {axis}"
+            break
+    return InputError(
+        f"{path}: line {line} has {found}, expected a number such as 0.5 or 1e-3; "
+        "write one or leave the line out"
+    )
 
 
 def _of_pcd(data: bytes, path: Path, bytes_per_point: int) -> Array:
@@ -115,6 +196,8 @@ def _of_pcd(data: bytes, path: Path, bytes_per_point: int) -> Array:
                 f"{path}: line {table.numbers[row]} has {table.counts[row]} values, expected "
                 f"{places[-1]}"
             )
+        if total >= 0:
+            _check_count(path, len(table.first), total, "POINTS")
         require_memory(path, bytes_per_point * len(table.first))
         columns = np.array([places[names.index(axis)] for axis in AXES])
         points = table.values(table.first[:, None] + columns)
@@ -124,7 +207,15 @@ def _of_pcd(data: bytes, path: Path, bytes_per_point: int) -> Array:
         size = of_point.itemsize
         count = total if total >= 0 else (len(data) - body) // size
         if body + count * size > len(data):
-            raise InputError(f"{path}: ends early, expected {count:,} points of {size} bytes")
+            raise InputError(
+                f"{path}: ends early: it has {(len(data) - body) // size:,} points of {size} "
+                f"bytes, POINTS states {count:,}, expected the same; write the file again"
+            )
+        if rest := data[body + count * size :].strip():
+            raise InputError(
+                f"{path}: {len(rest):,} bytes follow its {count:,} points of {size} bytes, "
+                "expected the end of the file; check POINTS and write the file again"
+            )
         require_memory(path, bytes_per_point * count)
         rows = np.frombuffer(data, of_point, count, body)
         columns_of = [rows[f"f{names.index(axis)}"][:, 0] for axis in AXES]

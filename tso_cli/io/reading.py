@@ -180,8 +180,8 @@ class TextTable:
         self.numbers: Indices = line[self.first] + 1 + lines_before
 
     def drop_comments(self) -> None:
-        """Forget the lines that start with #."""
-        keep = np.frombuffer(self.data, np.uint8)[self.starts[self.first]] != ord("#")
+        """Forget the lines that start with #, or with // as CloudCompare writes them."""
+        keep = ~np.isin(np.frombuffer(self.data, np.uint8)[self.starts[self.first]], list(b"#/"))
         self.first, self.counts = self.first[keep], self.counts[keep]
         self.numbers = self.numbers[keep]
 

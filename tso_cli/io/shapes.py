@@ -46,9 +46,14 @@ def shape_kind(path: Path) -> str:
     """What the file ``path`` is read as: "cloud", "mesh" or "voxels"; unreadable files: "cloud"."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES and not path.is_dir():
+        from .plugins import readers
+
+        others = readers()
+        if suffix in others:
+            return "cloud"
         raise InputError(
             f"{path}: the suffix is {suffix!r}, "
-            f"expected a cloud, mesh or grid: {', '.join(SUFFIXES)}"
+            f"expected a cloud, mesh or grid: {', '.join((*SUFFIXES, *others))}"
         )
     if suffix in MESH_SUFFIXES:
         return "mesh"
@@ -81,10 +86,17 @@ def read_shape(
     if kind == "cloud" or (as_vertices and path.suffix.lower() == ".ply"):
         return read_cloud(path, extended=False).points
     if kind == "mesh":
-        mesh = read_mesh(path, textures=False)
+        if path.suffix.lower() == ".gltf":  # `read_mesh` reads files that stand alone
+            cloud = read_cloud(path, extended=False)
+            found = cloud.faces()
+            if found is None:
+                raise InputError(f"{path}: has no faces, expected a mesh")
+            vertices, faces = cloud.points, found
+        else:
+            mesh = read_mesh(path, textures=False)
+            vertices, faces = mesh.vertices, mesh.faces
         if as_vertices:
-            return mesh.vertices
-        vertices, faces = mesh.vertices, mesh.faces
+            return vertices
     else:
         vertices, faces = grid_surface(path)
     with prefixed(f"{path}: "):

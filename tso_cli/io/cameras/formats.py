@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
 from .record import PartialCamera
-from .source import CameraSource
-
-ENTRY_POINTS = "tso.cameras"
-"""Group of the entry points of further readers: objects with ``recognises`` and ``read``."""
+from .source import EXPECTED, CameraSource
 
 # Name for `camera_format` -> what it is, and where it may be found: "json", "text", "yaml", "zip"
 # (.npz and .pt), "npy", "glb" or "folder". Tried in this order.
@@ -72,8 +68,13 @@ def read_partial_cameras(
             f"{path}: is {words_of(name)}, `object` {object_id} chooses an object of "
             f"{FORMATS['bop'][0]}"
         )
-    else:
+    elif name in FORMATS:
         views = reader.read(source)
+    else:
+        from ..plugins import guarded
+
+        with guarded(path, name, EXPECTED):
+            views = reader.read(source)
     if not views:
         raise InputError(f"{path}: is {words_of(name)} and holds no camera, expected one or more")
     return views, name
@@ -91,7 +92,9 @@ def _module(name: str) -> Any:
 def _named(name: str) -> Any:
     if name in FORMATS:
         return _module(name)
-    plugins = _plugins()
+    from ..plugins import CAMERAS, registered
+
+    plugins = registered(CAMERAS)
     if name not in plugins:
         known = ", ".join([*FORMATS, *plugins])
         raise InputError(f"`camera_format` is {name!r}, expected one of {known}")
@@ -109,10 +112,13 @@ def _recognised(source: CameraSource) -> tuple[str, Any]:
             module = _module(name)
             if module.recognises(source):
                 return name, module
-    for name, load in _plugins().items():
-        reader = load()
-        if reader.recognises(source):
-            return name, reader
+    from ..plugins import CAMERAS, guarded, registered
+
+    for name, load in registered(CAMERAS).items():
+        with guarded(source.path, name, EXPECTED):
+            reader = load()
+            if reader.recognises(source):
+                return name, reader
     if container == "json" or source.path.suffix.lower() == ".json":
         # Its reader says what is wrong with the file, in the terms of tso's own format.
         return "tso", _module("tso")
@@ -120,10 +126,3 @@ def _recognised(source: CameraSource) -> tuple[str, Any]:
         f"{source.path}: is no camera file that tso knows, expected one of: "
         f"{', '.join(FORMATS)} (`camera_format`)"
     )
-
-
-def _plugins() -> dict[str, Callable[[], Any]]:
-    """Name of a format -> what loads the reader of another package."""
-    from importlib.metadata import entry_points
-
-    return {point.name: point.load for point in entry_points(group=ENTRY_POINTS)}
