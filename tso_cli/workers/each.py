@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, wait
@@ -43,10 +44,10 @@ def each(
     jobs: Iterable[Job],
     window: int,
     *,
+    last: Iterable[Job] = (),
     on_start: Callable[[Job, int], None] = lambda job, deaths: None,
     stopping: Callable[[], bool] = lambda: False,
     task_seconds: float = 0.0,
-    seconds_of: Callable[[Any], float] = lambda result: 0.0,
 ) -> Iterator[Ended[Job]]:
     """Do all ``jobs`` and yield them as they end. Nothing that one job does loses another.
 
@@ -58,14 +59,15 @@ def each(
     Parameters
     ----------
     window : how many tasks are with the executor at once. ``jobs`` is read no further.
+    last : jobs that are done at the end, each alone, as if they had killed two processes.
     on_start : called with a job and its deaths before it is given to the executor.
     stopping : once it is true, no job begins; the jobs at work end.
-    task_seconds : jobs are sent together so that a task takes about so long (`MOST_IN_A_TASK` at
-        most), as measured by ``seconds_of`` their results.
+    task_seconds : jobs are sent together so that a task takes about so long, as the tasks before
+        it (`MOST_IN_A_TASK` jobs at most).
     """
     source = iter(jobs)
     again: deque[_Task[Job]] = deque()
-    alone: deque[_Task[Job]] = deque()
+    alone = deque(_Task([job], 2) for job in last)
     at_work: dict[_Future[Any], _Task[Job]] = {}
     pace = _Pace(task_seconds)
     exhausted = False
@@ -104,7 +106,8 @@ def each(
         for future in wait(at_work, return_when=FIRST_COMPLETED).done:
             task = at_work.pop(future)
             try:
-                results = future.result()
+                results, seconds = future.result()
+                pace.add(seconds, len(task.jobs))
             except CancelledError:
                 continue
             except BaseException as error:
@@ -117,8 +120,6 @@ def each(
                     queue.extend(_Task([job], task.deaths + 1) for job in task.jobs)
                 continue
             for job, (result, failure) in zip(task.jobs, results, strict=True):
-                if failure is None:
-                    pace.add(seconds_of(result))
                 yield Ended(job, result, failure, task.deaths)
 
 
@@ -128,8 +129,8 @@ class _Pace:
     def __init__(self, task_seconds: float) -> None:
         self._wanted, self._sum, self._count = task_seconds, 0.0, 0
 
-    def add(self, seconds: float) -> None:
-        self._sum, self._count = self._sum + seconds, self._count + 1
+    def add(self, seconds: float, jobs: int) -> None:
+        self._sum, self._count = self._sum + seconds, self._count + jobs
 
     @property
     def jobs(self) -> int:
@@ -138,15 +139,18 @@ class _Pace:
         return max(1, min(MOST_IN_A_TASK, int(self._wanted * self._count / self._sum)))
 
 
-def _all(work: Callable[[Job], Any], jobs: list[Job]) -> list[tuple[Any, BaseException | None]]:
-    """The result or the exception of each job; Ctrl-C ends the task."""
+def _all(
+    work: Callable[[Job], Any], jobs: list[Job]
+) -> tuple[list[tuple[Any, BaseException | None]], float]:
+    """The result or the exception of each job, and the seconds of all; Ctrl-C ends the task."""
     ended: list[tuple[Any, BaseException | None]] = []
+    begun = time.perf_counter()
     for job in jobs:
         try:
             ended.append((work(job), None))
         except Exception as error:
             ended.append((None, error))
-    return ended
+    return ended, time.perf_counter() - begun
 
 
 def _is_death(error: BaseException) -> bool:

@@ -1,0 +1,100 @@
+"""What became of each item, one line of JSON for each event, appended whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+from ..io.output import reason, sole_writer
+
+NAME = "journal.jsonl"
+STARTED = "started"
+# How an item ends. An item that ended as one of the second kind is tried again by the next run.
+ENDS = ("done", "doubtful", "refused", "failed")
+TRIED_AGAIN = ("failed",)
+# An item that was started so often without an end may have ended the whole batch.
+SUSPICIOUS_STARTS = 2
+
+
+@dataclass
+class Past:
+    """What earlier runs did with an item."""
+
+    starts: int = 0  # since its last end
+    end: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> str | None:
+        """Of an end that stands, as long as the inputs and settings have this key."""
+        return None if self.end.get("event") in TRIED_AGAIN else self.end.get("key")
+
+    @property
+    def suspicious(self) -> bool:
+        return self.starts >= SUSPICIOUS_STARTS
+
+
+def read_journal(path: Path) -> dict[str, Past]:
+    """Item -> its past. A line that was cut off by the end of its writer says nothing."""
+    past: dict[str, Past] = {}
+    for entry in entries(path):
+        one = past.setdefault(entry["item"], Past())
+        if entry["event"] == STARTED:
+            one.starts += 1
+        else:
+            one.starts, one.end = 0, entry
+    return past
+
+
+def entries(path: Path) -> Iterator[dict[str, Any]]:
+    """The whole lines of a journal; none if there is no such file."""
+    try:
+        lines = path.open("rb")
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+    with lines:
+        for line in lines:
+            try:
+                entry = json.loads(line)
+            except ValueError:
+                continue
+            if isinstance(entry, dict) and isinstance(entry.get("item"), str):
+                if entry.get("event") in (STARTED, *ENDS):
+                    yield entry
+
+
+class Journal:
+    """A journal that this process alone appends to."""
+
+    def __init__(self, path: Path, descriptor: int) -> None:
+        self.path, self._descriptor = path, descriptor
+
+    def add(self, item: str, event: str, **more: Any) -> None:
+        """Append a line. It is written at once and whole, whatever becomes of this process."""
+        entry = {"item": item, "event": event, "time": round(time.time(), 3), **more}
+        os.write(self._descriptor, json.dumps(entry).encode() + b"\n")
+
+
+@contextmanager
+def open_journal(path: Path) -> Iterator[Journal]:
+    """The journal of one run; InputError if another process is writing it."""
+    with sole_writer(path):
+        try:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({reason(error)})") from None
+        try:
+            size = os.fstat(descriptor).st_size
+            if size and os.pread(descriptor, 1, size - 1) != b"\n":
+                os.write(descriptor, b"\n")  # after a line that was cut off
+            yield Journal(path, descriptor)
+        finally:
+            os.close(descriptor)

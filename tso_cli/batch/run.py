@@ -1,0 +1,165 @@
+"""The run over a batch: every item at least once, with an effect once."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..errors import InputError
+from ..io.output import reason
+from ..workers import Ended, each
+from .journal import STARTED, Journal, Past
+
+
+# Results of earlier runs are checked in tasks of about so long.
+CHECKING_SECONDS = 1.0
+
+
+@dataclass(frozen=True)
+class Task:
+    """An item for a process.
+
+    item : its name, which is that of its output in the batch's folder.
+    arguments : of `tso refine`. key : of the result that is there already.
+    known : whether an earlier run has begun it, so that a file at its place may be replaced.
+    """
+
+    item: str
+    arguments: tuple[str, ...]
+    key: str | None = None
+    known: bool = False
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of an item: "skipped", or how it ended (`journal.ENDS`)."""
+
+    event: str
+    key: str | None = None
+    seconds: float = 0.0
+    reason: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Summary:
+    """What a run did."""
+
+    total: int
+    counts: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0  # of the items
+    reasons: Counter[str] = field(default_factory=Counter)
+    ended: list[tuple[str, Outcome]] = field(default_factory=list)  # doubtful and worse
+    quarantined: list[str] = field(default_factory=list)
+    interrupted: bool = False
+
+    def add(self, item: str, outcome: Outcome) -> None:
+        self.counts[outcome.event] += 1
+        self.seconds += outcome.seconds
+        if outcome.event not in ("done", "skipped"):
+            self.reasons[outcome.reason] += 1
+            self.ended.append((item, outcome))
+
+    @property
+    def done(self) -> int:
+        return sum(self.counts.values())
+
+
+def tasks_of(items: Sequence[tuple[str, tuple[str, ...]]], past: dict[str, Past]) -> list[Task]:
+    """The tasks of items (name, arguments)."""
+    nothing = Past()
+    return [
+        Task(item, arguments, past.get(item, nothing).key, item in past)
+        for item, arguments in items
+    ]
+
+
+def run(
+    tasks: Sequence[Task],
+    past: dict[str, Past],
+    work: Callable[[Task], Outcome],
+    unchanged: Callable[[Task], bool],
+    executor: Executor,
+    window: int,
+    journal: Journal,
+    on_end: Callable[[str, Outcome, Summary], None],
+    task_seconds: float = 0.0,
+) -> Summary:
+    """Do all tasks, and write down what becomes of each.
+
+    ``unchanged`` says of a task with a key whether its result and its inputs are as they were; it
+    is then left out. Items that earlier runs began twice and never ended are done last and alone. Ctrl-C lets the
+    items at work end; a second Ctrl-C is a KeyboardInterrupt.
+    """
+    summary = Summary(len(tasks))
+    suspicious = {task.item for task in tasks if past.get(task.item, Past()).suspicious}
+    summary.quarantined = sorted(suspicious)
+    with _ending_at_ctrl_c() as stopping:
+        ended_before = [task for task in tasks if task.key]
+        settings: dict[str, Any] = dict(stopping=stopping, task_seconds=CHECKING_SECONDS)
+        left_out = set()
+        for checked in each(executor, unchanged, ended_before, window, **settings):
+            if checked.result:
+                left_out.add(checked.job.item)
+                summary.counts["skipped"] += 1
+                on_end(checked.job.item, Outcome("skipped"), summary)
+        left = [task for task in tasks if task.item not in left_out]
+        first = (task for task in left if task.item not in suspicious)
+        last = [task for task in left if task.item in suspicious]
+        ended = each(
+            executor,
+            work,
+            first,
+            window,
+            last=last,
+            on_start=lambda task, deaths: journal.add(task.item, STARTED),
+            stopping=stopping,
+            task_seconds=task_seconds,
+        )
+        for one in ended:
+            outcome = _outcome_of(one)
+            told = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
+            if outcome.reason:
+                told["reason"] = outcome.reason
+            journal.add(one.job.item, outcome.event, **told)
+            summary.add(one.job.item, outcome)
+            on_end(one.job.item, outcome, summary)
+        summary.interrupted = stopping() and summary.done < len(tasks)
+    return summary
+
+
+def _outcome_of(ended: Ended[Task]) -> Outcome:
+    error = ended.error
+    if error is None:
+        outcome = ended.result
+        assert isinstance(outcome, Outcome)
+        return outcome
+    deaths = f", {ended.deaths} times" if ended.deaths > 1 else ""
+    event = "refused" if isinstance(error, InputError) else "failed"
+    return Outcome(event, reason=f"{reason(error)}{deaths}", values={"deaths": ended.deaths})
+
+
+@contextmanager
+def _ending_at_ctrl_c() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C came; the second Ctrl-C does what it always does."""
+    came = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield came.is_set
+        return
+    before = signal.getsignal(signal.SIGINT)
+
+    def interrupt(number: int, frame: Any) -> None:
+        came.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield came.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
