@@ -41,6 +41,7 @@ NEAR_TO_FAR = np.array(
 
 # How much of a photo is seen: alone, and under the colours of mask and silhouette.
 PHOTO, PHOTO_UNDER = 0.45, 0.25
+GREY = np.array([0.299, 0.587, 0.114])  # how bright red, green and blue look
 
 # Pixels: side of a panel, space around it, height of its title, height of the legend.
 PANEL, GAP, TITLE, LEGEND = 340, 24, 32, 44
@@ -49,7 +50,7 @@ PANEL, GAP, TITLE, LEGEND = 340, 24, 32, 44
 def compare(images: WindowImages, photo: Pixels | None = None) -> NDArray[np.float64]:
     """Picture [H, W, 3] of mask and silhouette, in the colours of `COLOURS`.
 
-    ``photo`` [H, W, 3] is dimmed behind them.
+    ``photo`` [H, W, 3] is dimmed behind them, in grey: its colours would be taken for theirs.
     """
     picture = np.ones((*images.mask.shape, 3))
     picture[images.mask & images.silhouette] = COLOURS["agree"]
@@ -60,7 +61,8 @@ def compare(images: WindowImages, photo: Pixels | None = None) -> NDArray[np.flo
     if photo is None:
         return picture
     share = np.where((picture == 1.0).all(2, keepdims=True), PHOTO, PHOTO_UNDER)
-    return (1.0 - share) * picture + share * (photo / 255.0)
+    grey = photo @ GREY / 255.0
+    return (1.0 - share) * picture + share * grey[..., None]
 
 
 def photo_in_window(photo: Pixels | None, camera: Camera, box: Box) -> Pixels | None:

@@ -29,8 +29,8 @@ NAMES = {"mask": "outline of the mask", "start": "start", "result": "result"}
 # Settings that the page lists, by their names in the JSON document.
 SETTINGS = (
     "mode", "preset", "moving", "points", "outliers", "steps", "best_step", "stop_reason",
-    "learning_rate", "gamma", "sigma_sq", "device", "checkpoint", "assume", "frame", "output",
-    "version",
+    "step_taken", "learning_rate", "gamma", "sigma_sq", "device", "checkpoint", "assume", "frame",
+    "output", "version",
 )  # fmt: skip
 
 
@@ -95,6 +95,7 @@ def write_page(
         f"<!--\n{_read('three.LICENSE')}-->\n"
         f"<script>{library}</script>\n<script>{script}</script>\n</body></html>\n",
         encoding="utf-8",
+        newline="\n",
     )
 
 
