@@ -46,6 +46,7 @@ def test_refining_points_imports_nothing_heavy(tmp_path, preset):
     options = f"--steps 6 --overlay chair.png --preset {preset}"
     modules = _imported(tmp_path, f"refine {CHAIR / 'initial.ply'} {CHAIR / 'mask.png'} {options}")
     assert {"tso_cli.refinement.api", "PIL.Image"} <= modules
+    assert "tso_cli.plots.page" not in modules
     assert not modules & set(HEAVY)
 
 

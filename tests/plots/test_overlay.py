@@ -76,3 +76,28 @@ def test_the_object_fills_its_panel_in_a_photo_of_any_size(times, tmp_path):
     ]
     agreed = (panel == np.rint(255.0 * np.array(overlay.COLOURS["agree"]))).all(2).mean()
     assert 0.25 < agreed < 0.8
+
+
+def test_a_photo_is_dimmed_behind_mask_and_silhouette_and_the_colours_stay_apart():
+    silhouette, mask = np.array([[1, 0, 1, 0]], bool), np.array([[1, 1, 0, 0]], bool)
+    for level in (0, 255):
+        photo = np.full((1, 4, 3), level, np.uint8)
+        picture = compare(WindowImages(silhouette, mask, None), photo)
+        agreed, missing, extra = list(overlay.COLOURS.values())[:3]
+        for shown, colour in zip(picture[0], (agreed, missing, extra), strict=False):
+            others = [one for one in (agreed, missing, extra) if one != colour]
+            nearest = min(np.abs(shown - one).max() for one in others)
+            assert np.abs(shown - colour).max() < nearest
+        assert picture[0, 3, 0] == pytest.approx(1.0 if level else 1.0 - overlay.PHOTO)
+
+
+def test_the_photo_lies_where_its_mask_lies_whatever_its_resolution():
+    camera, box = Camera.canonical(64, 64), (9.5, 19.5, 39.5, 49.5)
+    for times in (1, 4):
+        photo = np.zeros((64 * times, 64 * times, 3), np.uint8)
+        photo[30 * times : 40 * times, 20 * times : 32 * times] = 200
+        shown = overlay.photo_in_window(photo, camera, box)
+        expected = np.zeros((30, 30))
+        expected[10:20, 10:22] = 200
+        np.testing.assert_array_equal(shown[..., 0], expected)
+    assert overlay.photo_in_window(None, camera, box) is None

@@ -6,6 +6,7 @@ import gc
 import json
 import math
 import os
+import shlex
 import sys
 import time
 import warnings
@@ -311,19 +312,45 @@ def naming(path: Path) -> Iterator[None]:
 
 def echo_json(document: Any) -> None:
     """Print exactly one JSON document; numbers that are not finite become null."""
-    click.echo(json.dumps(_plain(document), indent=2, allow_nan=False))
+    click.echo(json_text(document))
 
 
-def _plain(value: Any) -> Any:
+def json_text(document: Any) -> str:
+    """A JSON document; numbers that are not finite become null."""
+    return json.dumps(plain(document), indent=2, allow_nan=False)
+
+
+def plain(value: Any) -> Any:
+    """A document with nothing but what JSON has; numbers that are not finite become null."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, Path):
         return str(value)
     if hasattr(value, "item"):  # numpy scalars
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def command_line() -> str:
+    """The command that runs, as a line for a shell: what was given, without the defaults."""
+    context = click.get_current_context()
+    words = ["tso", str(context.info_name)]
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        if context.get_parameter_source(name) is not click.core.ParameterSource.COMMANDLINE:
+            continue
+        value = context.params[name]
+        values = value if isinstance(value, tuple) else (value,)
+        if isinstance(parameter, click.Argument):
+            words += map(str, values)
+        elif isinstance(parameter, click.Option):
+            shown = max(parameter.opts, key=len)
+            for one in values:
+                given = "auto" if one is None else str(one)
+                words += [shown] if parameter.is_flag else [shown, given]
+    return shlex.join(words)
 
 
 def log(message: str) -> None:

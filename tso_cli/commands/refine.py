@@ -28,6 +28,7 @@ BRIEF = (
     "output",
     "overwrite",
     "overlay",
+    "report",
     "check",
     "strict",
     "as_json",
@@ -184,10 +185,10 @@ def _hypotheses() -> dict[str, str]:
     type=PATH,
     help="Picture of mask, silhouette and cloud before and after, .png.",
 )
+@click.option("--report", type=PATH, help="Interactive page of the result, .html.")
 @options.flag(
     "--check",
-    "Only examine the input: print the camera, the scale, the overlap with the mask, and what "
-    "may be wrong.",
+    "Only print camera, scale, the overlap with the mask, and what may be wrong.",
 )
 @options.flag("-q", "Print nothing but errors and the document of --json.", "--quiet")
 @options.flag("-v", "Also print all measures and settings, for each view.", "--verbose")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..diagnosis.hypotheses import INVERTED, assumptions_of
 from ..errors import InputError
+from ..geometry.arrays import Pixels
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
 from ..io.clouds import check_suffix, write_cloud
 from ..io.masks import MaskChoice, masks_in
@@ -17,6 +20,9 @@ from ..io.views import ViewFiles
 from ..refinement import RefineResult
 from ..scene.load import Placing, Scene, load_points_scene
 from .options import FIT, require_output
+
+if TYPE_CHECKING:
+    from ..plots.page import PageWords
 
 
 @dataclass
@@ -147,9 +153,10 @@ class RefineInputs:
         known = [self.intrinsics] if self.intrinsics else []
         return [self.source, *self.masks, *cameras, *known, *self.ignore, *self.depth, *self.image]
 
-    def load(self) -> Scene:
-        """Read everything."""
-        files = ViewFiles(
+    @property
+    def view_files(self) -> ViewFiles:
+        """The files of the views."""
+        return ViewFiles(
             self.masks,
             None if self.fit else self.camera,
             choice=MaskChoice(self.label, self.mask_index),
@@ -161,6 +168,10 @@ class RefineInputs:
             depth_scale=self.depth_scale or 1.0,
             image=self.image,
         )
+
+    def load(self) -> Scene:
+        """Read everything."""
+        files = self.view_files
         if self.checkpoint is None:
             inverted = [INVERTED.hypothesis.name] if self.invert_mask else []
             return load_points_scene(self.source, files, [*inverted, *self.assume], self.fit)
@@ -179,6 +190,7 @@ class RefineOutputs:
     output: Path
     own_suffix: str  # of the input, if it is written again with other points
     overlay: Path | None
+    report: Path | None
     write_camera: Path | None
     overwrite: bool
 
@@ -188,10 +200,11 @@ class RefineOutputs:
         check_output(self.output, self.overwrite)
         if self.overlay is not None:
             require_output(self.overlay, ".png", self.overwrite)
-            if self.overlay.resolve() in [path.resolve() for path in inputs]:
-                raise InputError(
-                    f"{self.overlay}: is an input, expected another name for --overlay"
-                )
+        if self.report is not None:
+            require_output(self.report, ".html", self.overwrite)
+        for name, file in (("--overlay", self.overlay), ("--report", self.report)):
+            if file is not None and file.resolve() in [path.resolve() for path in inputs]:
+                raise InputError(f"{file}: is an input, expected another name for {name}")
         if self.write_camera is not None:
             require_output(self.write_camera, ".json", self.overwrite)
             others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
@@ -201,18 +214,37 @@ class RefineOutputs:
                     "for --write-camera"
                 )
 
-    def write(self, result: RefineResult, scene: Scene, masks: tuple[Path, ...]) -> None:
-        """Write all files, or none: the others take their names once the cloud is written."""
+    def write(
+        self,
+        result: RefineResult,
+        scene: Scene,
+        inputs: RefineInputs,
+        words: Callable[[], PageWords],
+    ) -> None:
+        """Write all files, or none: the others take their names once the cloud is written.
+
+        ``words`` makes the words of the page.
+        """
+        photos: list[Pixels | None] = []
+        if self.overlay is not None or self.report is not None:
+            from ..scene.photos import photos_of
+
+            photos = photos_of(scene, inputs.view_files, inputs.fit)
         with ExitStack() as stack:
             if self.overlay is not None:
                 from ..plots.overlay import draw_overlay
 
                 picture = stack.enter_context(atomic_output(self.overlay, self.overwrite))
-                draw_overlay(picture, result, scene.views)
+                draw_overlay(picture, result, scene.views, photos)
+            if self.report is not None:
+                from ..plots.page import write_page
+
+                page = stack.enter_context(atomic_output(self.report, self.overwrite))
+                write_page(page, result, scene, photos, words())
             if self.write_camera is not None:
                 records = [
                     CameraRecord(camera, mask)
-                    for camera, mask in zip(result.cameras, masks, strict=True)
+                    for camera, mask in zip(result.cameras, inputs.masks, strict=True)
                 ]
                 temporary = stack.enter_context(atomic_output(self.write_camera, self.overwrite))
                 temporary.write_text(camera_text(self.write_camera, records), encoding="utf-8")

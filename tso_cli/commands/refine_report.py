@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -19,9 +19,13 @@ from ..refinement.judge import CONTRADICTED_WEIGHT
 from ..refinement.result import RefineResult
 from ..scene.load import Scene
 from ..version import __version__
+from . import options
 from .refine_check import camera_document, verdict_document
 from .refine_files import RefineInputs, RefineOutputs
-from .sentences import SMALL_DISPLACEMENT, Words, shown, why_unmoved
+from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, shown, why_unmoved
+
+if TYPE_CHECKING:
+    from ..plots.page import PageWords
 
 CONVENTION = {
     "moved": "displacement of a control point, as a share of the object's size, the longest side "
@@ -99,6 +103,7 @@ class RefineReport:
             "assume": list(self.inputs.assume),
             "output": self.outputs.output if written else None,
             "overlay": self.outputs.overlay if written else None,
+            "report": self.outputs.report if written else None,
             "camera": views[0]["camera"],
             "views": views,
             "frame": self.scene.frame,
@@ -154,24 +159,55 @@ class RefineReport:
             rows.append((view, camera, float(angle_between(view.camera.R, camera.R)), shift))
         return rows
 
-    def print_summary(self) -> None:
-        """What was written, the agreement with the masks, the displacement, the assumptions."""
+    def page(self, warnings: list[str], command: str) -> PageWords:
+        """The words of the page: the lines that are printed, the document, and the command."""
+        from ..plots.page import PageWords
+
+        lines = self.summary()
+        del lines["used"]
+        return PageWords(
+            title=self.inputs.source.name,
+            written=lines.pop(""),
+            lines=lines,
+            used=self._used(),
+            verdict=VERDICTS[self.result.trust.verdict or ""],
+            reason=self.words.reason(self.result),
+            warnings=warnings,
+            mirror=self._mirror(),
+            command=command,
+            document=options.plain(self.document(warnings)),
+        )
+
+    def summary(self) -> dict[str, str]:
+        """What was written (""), the agreement with the masks, the displacement, what was used."""
         result, fit, count = self.result, self.result.fit, len(self.scene.views)
         masks = f"masks, mean of {count}" if count > 1 else "mask"
-        used = [
+        iou = f"{fit.iou_before:.3f} -> {fit.iou_after:.3f}"
+        return {
+            "": f"{self.outputs.output}: {len(result.points):,} {self._follow()}",
+            "IoU": f"{iou} with the {masks} ({self._verdict()})",
+            "moved": self._moved(),
+            "used": "; ".join(self._used()),
+        }
+
+    def _used(self) -> list[str]:
+        """What was used and assumed, and the time."""
+        parts = [
             self.inputs.network,
             self._cameras(),
             self._symmetry(),
             self._discounted(),
             f"{self.seconds['total']:.1f} s",
         ]
-        click.echo(f"{self.outputs.output}: {len(result.points):,} {self._follow()}")
-        iou = f"{fit.iou_before:.3f} -> {fit.iou_after:.3f}"
-        click.echo(f"  IoU    {iou} with the {masks} ({self._verdict()})")
-        click.echo(f"  moved  {self._moved()}")
-        click.echo(f"  used   {'; '.join(part for part in used if part)}")
+        return [part for part in parts if part]
+
+    def print_summary(self) -> None:
+        """`summary`, and the other files."""
+        for name, text in self.summary().items():
+            click.echo(f"  {name:7}{text}" if name else text)
         for path, content in (
             (self.outputs.overlay, "picture"),
+            (self.outputs.report, "page"),
             (self.outputs.write_camera, "camera"),
         ):
             if path is not None:

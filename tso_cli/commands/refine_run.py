@@ -6,7 +6,7 @@ import sys
 import time
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..diagnosis.examine import NoOverlapError
 from ..diagnosis.hypotheses import left_handed
@@ -19,6 +19,9 @@ from .refine_check import check_scene
 from .refine_files import RefineInputs, RefineOutputs
 from .refine_report import RefineReport
 from .sentences import Words
+
+if TYPE_CHECKING:
+    from ..plots.page import PageWords
 
 # Memory of one control point.
 BYTES_OF_A_CONTROL_POINT = 1100
@@ -80,7 +83,10 @@ class RefineRun:
         writing = time.perf_counter()
         refused = self._strict and result.trust.verdict in ("doubtful", None)
         if not refused:
-            self._outputs.write(result, self._scene, self._inputs.masks)
+            measured = {"read": read, **result.cost.seconds}
+            self._outputs.write(
+                result, self._scene, self._inputs, lambda: self._page(result, measured)
+            )
         finished = time.perf_counter()
         for text in self._words.warnings(result):
             warnings.warn(text, stacklevel=1)
@@ -161,10 +167,19 @@ class RefineRun:
         finally:
             bar.close()
 
-    def _print(self, result: RefineResult, seconds: dict[str, float], refused: bool) -> None:
+    def _report(self, result: RefineResult, seconds: dict[str, float]) -> RefineReport:
         budget = "auto" if self._config.budget == "auto" else self._config.budget_seconds
         of_run = self._scene, self._inputs, self._outputs, self._words
-        report = RefineReport(result, *of_run, self._refine_camera, budget, seconds)
+        return RefineReport(result, *of_run, self._refine_camera, budget, seconds)
+
+    def _page(self, result: RefineResult, seconds: dict[str, float]) -> PageWords:
+        """What the page says: of the seconds, those until now."""
+        so_far = {**seconds, "total": time.perf_counter() - self._started}
+        warned = [*self._warned, *self._words.warnings(result)]
+        return self._report(result, so_far).page(warned, options.command_line())
+
+    def _print(self, result: RefineResult, seconds: dict[str, float], refused: bool) -> None:
+        report = self._report(result, seconds)
         if self._as_json:
             options.echo_json(report.document(self._warned, written=not refused))
         if refused:

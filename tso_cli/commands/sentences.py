@@ -21,6 +21,14 @@ MOST_PAIRS = 3
 LOOK = "or look at the numbers with --check"
 # What mends a symptom of a single view.
 OPTIONS = {"box": "a mask of its outline", "occluder": "--ignore FILE"}
+# What a verdict means; "" where there is none.
+VERDICTS = {
+    "improved": "The points moved, and the Chamfer distance to the true shape probably does not "
+    "grow by more than 5 %. The cloud is probably not harmed; it need not be better.",
+    "unchanged": "No moved cloud was better than the initial cloud, so nothing moved.",
+    "doubtful": "The Chamfer distance to the true shape may grow by more than 5 %.",
+    "": "There is no confidence for this kind of run. A rising IoU proves nothing.",
+}
 # Options that mend what a note says.
 OPTIONS_OF_NOTES = {"depth-unit": " (--depth-scale)", "assumed-picture": " (--camera FILE)"}
 

@@ -38,6 +38,19 @@ IOU_MEANS = (
 )
 
 
+class WindowGrid(NamedTuple):
+    """The cells by which a window is compared: ``width`` x ``height`` of them in the ``edges``.
+
+    ``fine`` : into how many a cell is divided along each side for the silhouette.
+    """
+
+    edges: Box
+    width: int
+    height: int
+    step: float
+    fine: int
+
+
 class WindowImages(NamedTuple):
     """Images [H, W] of a window; ``known`` is None if all pixels are known."""
 
@@ -75,6 +88,22 @@ def in_window(points: Array, view: View, box: Box) -> WindowImages:
     so that the time does not grow with the photo.
     """
     camera = view.camera
+    edges, width, height, step, fine = grid_of(camera, box)
+    left, top, _, _ = edges
+    part = camera.cropped(edges, fine * width, fine * height)
+    silhouette = footprint(points, part)
+    if fine > 1:
+        silhouette = silhouette.reshape(height, fine, width, fine).mean((1, 3)) > 0.5
+    columns, rows = (
+        np.minimum(np.rint(start + step * (np.arange(count) + 0.5)).astype(int), most - 1)
+        for start, count, most in ((left, width, camera.width), (top, height, camera.height))
+    )
+    known = None if view.known is None else view.known[rows[:, None], columns]
+    return WindowImages(silhouette, view.mask[rows[:, None], columns] > 0.5, known)
+
+
+def grid_of(camera: Camera, box: Box) -> WindowGrid:
+    """The cells of the part of ``box`` in the image of ``camera`` (`in_window`)."""
     first, last = np.array(box).reshape(2, 2)
     step, fine = float((last - first).max()) / MOST_CELLS, 1
     if step < 1.0:
@@ -86,16 +115,7 @@ def in_window(points: Array, view: View, box: Box) -> WindowImages:
     last = first + step * counts
     (left, top), (right, bottom) = first.tolist(), last.tolist()
     width, height = counts.astype(int).tolist()
-    part = camera.cropped((left, top, right, bottom), fine * width, fine * height)
-    silhouette = footprint(points, part)
-    if fine > 1:
-        silhouette = silhouette.reshape(height, fine, width, fine).mean((1, 3)) > 0.5
-    columns, rows = (
-        np.minimum(np.rint(start + step * (np.arange(count) + 0.5)).astype(int), most - 1)
-        for start, count, most in ((left, width, camera.width), (top, height, camera.height))
-    )
-    known = None if view.known is None else view.known[rows[:, None], columns]
-    return WindowImages(silhouette, view.mask[rows[:, None], columns] > 0.5, known)
+    return WindowGrid((left, top, right, bottom), width, height, step, fine)
 
 
 def spacing(points: Array) -> tuple[float, float]:

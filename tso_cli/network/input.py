@@ -29,12 +29,14 @@ class NetworkInput:
     camera : the photo's camera, cropped like the photo.
     known : bool [size, size], False where more than half of a pixel lies outside the photo or is
         ignored.
+    box : left, top, right, bottom edges of the crop in the photo, px.
     """
 
     image: NDArray[np.float32]
     mask: NDArray[np.float32]
     camera: Camera
     known: NDArray[np.bool_]
+    box: Box
 
     def view(self, name: str = "mask") -> View:
         """Mask and camera of the crop as a view."""
@@ -127,4 +129,5 @@ def network_input(
         mask=np.where(known, np.clip(cropped, 0.0, 1.0), 0.0).astype(np.float32),
         camera=view.camera.cropped(box, size, size),
         known=known,
+        box=box,
     )

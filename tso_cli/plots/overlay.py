@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.footprint import WindowImages, common_window, in_window
+from ..evaluation.footprint import WindowImages, common_window, grid_of, in_window
+from ..geometry.arrays import Array, Box, Pixels
+from ..geometry.camera import Camera
 from ..geometry.points import evenly
 from ..geometry.view import View
 from ..refinement import RefineResult
@@ -37,35 +39,74 @@ NEAR_TO_FAR = np.array(
     [(253, 231, 37), (94, 201, 98), (33, 145, 140), (59, 82, 139), (68, 1, 84)], np.float64
 )
 
+# How much of a photo is seen: alone, and under the colours of mask and silhouette.
+PHOTO, PHOTO_UNDER = 0.45, 0.25
+GREY = np.array([0.299, 0.587, 0.114])  # how bright red, green and blue look
+
 # Pixels: side of a panel, space around it, height of its title, height of the legend.
 PANEL, GAP, TITLE, LEGEND = 340, 24, 32, 44
 
 
-def compare(images: WindowImages) -> NDArray[np.float64]:
-    """Picture [H, W, 3] of mask and silhouette, in the colours of `COLOURS`."""
+def compare(images: WindowImages, photo: Pixels | None = None) -> NDArray[np.float64]:
+    """Picture [H, W, 3] of mask and silhouette, in the colours of `COLOURS`.
+
+    ``photo`` [H, W, 3] is dimmed behind them, in grey: its colours would be taken for theirs.
+    """
     picture = np.ones((*images.mask.shape, 3))
     picture[images.mask & images.silhouette] = COLOURS["agree"]
     picture[images.mask & ~images.silhouette] = COLOURS["mask without silhouette"]
     picture[~images.mask & images.silhouette] = COLOURS["silhouette without mask"]
     if images.known is not None:
         picture[~images.known] = COLOURS["unknown"]
-    return picture
+    if photo is None:
+        return picture
+    share = np.where((picture == 1.0).all(2, keepdims=True), PHOTO, PHOTO_UNDER)
+    grey = photo @ GREY / 255.0
+    return (1.0 - share) * picture + share * grey[..., None]
 
 
-def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> None:
+def photo_in_window(photo: Pixels | None, camera: Camera, box: Box) -> Pixels | None:
+    """The part of a photo that `in_window` compares, in its cells; None for no photo.
+
+    ``photo`` [h, w, 3] is the whole image of ``camera``, of any resolution.
+    """
+    if photo is None:
+        return None
+    from PIL import Image
+
+    (left, top, right, bottom), width, height, _, _ = grid_of(camera, box)
+    high, wide = photo.shape[:2]
+    across, down = wide / camera.width, high / camera.height
+    # Rounding may leave an edge slightly outside.
+    edges = (
+        max((left + 0.5) * across, 0.0),
+        max((top + 0.5) * down, 0.0),
+        min((right + 0.5) * across, wide),
+        min((bottom + 0.5) * down, high),
+    )
+    image = Image.fromarray(np.ascontiguousarray(photo))
+    return np.asarray(image.resize((width, height), Image.Resampling.BOX, edges))
+
+
+def draw_overlay(
+    path: Path,
+    result: RefineResult,
+    views: Sequence[View],
+    photos: Sequence[Pixels | None] = (),
+) -> None:
     """Write a picture of a result to ``path``.
 
     For one view there are two rows, before and after: mask against silhouette, the cloud seen from
     the camera, and the cloud seen from the camera's right. For several views there is one row each,
     for at most six views. Masks and silhouettes are cropped to the square in which their IoU is
-    measured.
+    measured. ``photos`` [h, w, 3] of the whole images are dimmed behind them.
     """
-    heading = None
+    heading, photos = None, photos or [None] * len(views)
     if len(views) == 1:
-        rows = _before_and_after(result, views[0])
+        rows = _before_and_after(result, views[0], photos[0])
     else:
         chosen = evenly(len(views), most=6)
-        rows = [_row_of_view(result, views, number) for number in chosen]
+        rows = [_row_of_view(result, views, number, photos[number]) for number in chosen]
         which = f"{len(views)} views"
         if len(chosen) < len(views):
             which = f"{len(chosen)} of {which}, evenly chosen"
@@ -78,10 +119,10 @@ def draw_overlay(path: Path, result: RefineResult, views: Sequence[View]) -> Non
     _draw(rows, heading, colours).save(path, format="PNG", compress_level=1)
 
 
-def _before_and_after(result: RefineResult, view: View) -> list[Row]:
+def _before_and_after(result: RefineResult, view: View, photo: Pixels | None) -> list[Row]:
     stages = zip(
         ("before", "after"),
-        _silhouettes(result, view, 0),
+        _silhouettes(result, view, 0, photo),
         _from_camera(result, view),
         (result.views[0].iou_before, result.views[0].iou_after),
         strict=True,
@@ -98,9 +139,11 @@ def _before_and_after(result: RefineResult, view: View) -> list[Row]:
     ]
 
 
-def _row_of_view(result: RefineResult, views: Sequence[View], number: int) -> Row:
+def _row_of_view(
+    result: RefineResult, views: Sequence[View], number: int, photo: Pixels | None
+) -> Row:
     view, fit = views[number], result.views[number]
-    silhouette_before, silhouette_after = _silhouettes(result, view, number)
+    silhouette_before, silhouette_after = _silhouettes(result, view, number, photo)
     return [
         (f"view {number + 1} before: IoU {fit.iou_before:.3f}", silhouette_before),
         (f"after: IoU {fit.iou_after:.3f}, weight {fit.loss_weight:.2f}", silhouette_after),
@@ -117,12 +160,20 @@ def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
     return [((points - middle) / half).T for points in rotated]
 
 
-def _silhouettes(result: RefineResult, view: View, number: int) -> list[Image.Image]:
-    """Mask against silhouette, before (given camera) and after (refined camera)."""
+def stages_of(result: RefineResult, view: View, number: int) -> list[tuple[Array, View]]:
+    """The points before (given camera) and after (refined camera), and what sees them."""
     before, after = result.measured
-    stages = (before, view), (after, replace(view, camera=result.cameras[number]))
+    return [(before, view), (after, replace(view, camera=result.cameras[number]))]
+
+
+def _silhouettes(
+    result: RefineResult, view: View, number: int, photo: Pixels | None
+) -> list[Image.Image]:
+    """Mask against silhouette, before and after."""
+    stages = stages_of(result, view, number)
     box = common_window(stages)
-    return [_fitted(compare(in_window(points, stage, box))) for points, stage in stages]
+    behind = photo_in_window(photo, view.camera, box)
+    return [_fitted(compare(in_window(points, stage, box), behind)) for points, stage in stages]
 
 
 def _draw(rows: list[Row], heading: str | None, colours: dict[str, Colour]) -> Image.Image:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from ..cloud.cloud import Cloud
 from ..diagnosis.findings import Finding
 from ..diagnosis.hypotheses import Assumption, as_meant, assumptions_of, left_handed
-from ..geometry.arrays import Array, Floats
+from ..geometry.arrays import Array, Floats, Pixels
 from ..geometry.view import View
 from ..io.clouds import PointCloud, read_cloud
 from ..io.views import ViewFiles, load_views, summary_of, view_without_camera
@@ -34,8 +34,8 @@ class Scene:
     frame : of the output: "input" (the frame of the cloud), "view", "canonical" or "world";
         ``to_output`` maps points to it.
     file : in points mode, what the file holds.
-    network, image, sigma_sq : in the network modes the network, its input [3, 64, 64], and the
-        variance of its training.
+    network, image, sigma_sq, photo : in the network modes the network, its input [3, 64, 64], the
+        variance of its training, and the photo's part that the network sees [H, W, 3].
     """
 
     given: RefineScene
@@ -46,6 +46,7 @@ class Scene:
     network: BaseNetwork | None = None
     image: Floats | None = None
     sigma_sq: float | None = None
+    photo: Pixels | None = None
     to_output: Callable[[Array], Array] = lambda points: points
 
     @property

@@ -27,6 +27,7 @@ from ..optimisation.loop import minimise
 from ..optimisation.parameters import PointParameters
 from ..refinement.scene import RefineScene
 from .load import Placing, Scene
+from .photos import cut_out
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork, NetworkConfig
@@ -166,6 +167,7 @@ def network_scene(
         frame,
         network=network,
         image=inputs.image,
+        photo=cut_out(image, inputs.box),
         sigma_sq=config.sigma_sq,
         to_output=to_output,
     )
