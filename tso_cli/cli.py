@@ -26,6 +26,7 @@ RESEARCH = "Studies and benchmarks of the method."
 SECTIONS = {
     "Your data": {
         "refine": ("tso_cli.commands.refine", "Move a cloud until it agrees with its masks."),
+        "batch": ("tso_cli.commands.batch", "Refine many clouds, and go on where it ended."),
         "eval": (
             "tso_cli.commands.evaluate",
             "Compare clouds with ground truth: Chamfer, F-score, EMD, IoU.",

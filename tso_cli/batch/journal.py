@@ -66,9 +66,9 @@ def entries(path: Path) -> Iterator[dict[str, Any]]:
                 entry = json.loads(line)
             except ValueError:
                 continue
-            if isinstance(entry, dict) and isinstance(entry.get("item"), str):
-                if entry.get("event") in (STARTED, *ENDS):
-                    yield entry
+            known = isinstance(entry, dict) and entry.get("event") in (STARTED, *ENDS)
+            if known and isinstance(entry.get("item"), str):
+                yield entry
 
 
 class Journal:

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..errors import InputError
 from ..evaluation.pairs import CAMERAS, MASKS
@@ -20,6 +20,7 @@ from ..io.clouds import SUFFIXES
 from ..io.output import reason
 from ..io.reading import plain, read_bytes, shown
 
+One = TypeVar("One")
 STDIN = Path("-")
 # Columns that are not options of `tso refine` by that name.
 CLOUD, MASK, OUTPUT = "cloud", "mask", "output"
@@ -149,7 +150,7 @@ def _named(name: Path, endings: tuple[str, ...], cloud: Path) -> Path | None:
     return None
 
 
-def shard_of(items: list[Item], shard: tuple[int, int]) -> list[Item]:
+def shard_of(items: list[One], shard: tuple[int, int]) -> list[One]:
     """Every n-th item from the i-th on, for ``shard`` (i, n) with i from 1 to n."""
     index, count = shard
     return items[index - 1 :: count]

@@ -16,7 +16,6 @@ from ..io.output import reason
 from ..workers import Ended, each
 from .journal import STARTED, Journal, Past
 
-
 # Results of earlier runs are checked in tasks of about so long.
 CHECKING_SECONDS = 1.0
 
@@ -28,12 +27,15 @@ class Task:
     item : its name, which is that of its output in the batch's folder.
     arguments : of `tso refine`. key : of the result that is there already.
     known : whether an earlier run has begun it, so that a file at its place may be replaced.
+    written : whether its last end wrote a result. refusal : why it is not even begun.
     """
 
     item: str
     arguments: tuple[str, ...]
     key: str | None = None
     known: bool = False
+    written: bool = True
+    refusal: str = ""
 
 
 @dataclass(frozen=True)
@@ -71,13 +73,25 @@ class Summary:
         return sum(self.counts.values())
 
 
-def tasks_of(items: Sequence[tuple[str, tuple[str, ...]]], past: dict[str, Past]) -> list[Task]:
-    """The tasks of items (name, arguments)."""
-    nothing = Past()
-    return [
-        Task(item, arguments, past.get(item, nothing).key, item in past)
-        for item, arguments in items
-    ]
+OnEnd = Callable[[str, Outcome, Summary], None]
+
+
+def tasks_of(
+    items: Sequence[tuple[str, tuple[str, ...]]],
+    past: dict[str, Past],
+    refusal: Callable[[str, bool], str],
+) -> list[Task]:
+    """The tasks of items (name, arguments).
+
+    ``refusal`` says why an item must not begin, or ""; it is given whether an earlier run began it.
+    """
+    tasks = []
+    for item, arguments in items:
+        one = past.get(item, Past())
+        written = bool(one.end.get("output"))
+        known = written or one.starts > 0
+        tasks.append(Task(item, arguments, one.key, known, written, refusal(item, known)))
+    return tasks
 
 
 def run(
@@ -88,14 +102,14 @@ def run(
     executor: Executor,
     window: int,
     journal: Journal,
-    on_end: Callable[[str, Outcome, Summary], None],
+    on_end: OnEnd,
     task_seconds: float = 0.0,
 ) -> Summary:
     """Do all tasks, and write down what becomes of each.
 
     ``unchanged`` says of a task with a key whether its result and its inputs are as they were; it
-    is then left out. Items that earlier runs began twice and never ended are done last and alone. Ctrl-C lets the
-    items at work end; a second Ctrl-C is a KeyboardInterrupt.
+    is then left out. Items that earlier runs began twice and never ended are done last and alone.
+    Ctrl-C lets the items at work end; a second Ctrl-C is a KeyboardInterrupt.
     """
     summary = Summary(len(tasks))
     suspicious = {task.item for task in tasks if past.get(task.item, Past()).suspicious}
@@ -110,6 +124,10 @@ def run(
                 summary.counts["skipped"] += 1
                 on_end(checked.job.item, Outcome("skipped"), summary)
         left = [task for task in tasks if task.item not in left_out]
+        for task in left:
+            if task.refusal:
+                _end(task.item, Outcome("refused", reason=task.refusal), journal, summary, on_end)
+        left = [task for task in left if not task.refusal]
         first = (task for task in left if task.item not in suspicious)
         last = [task for task in left if task.item in suspicious]
         ended = each(
@@ -123,15 +141,18 @@ def run(
             task_seconds=task_seconds,
         )
         for one in ended:
-            outcome = _outcome_of(one)
-            told = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
-            if outcome.reason:
-                told["reason"] = outcome.reason
-            journal.add(one.job.item, outcome.event, **told)
-            summary.add(one.job.item, outcome)
-            on_end(one.job.item, outcome, summary)
+            _end(one.job.item, _outcome_of(one), journal, summary, on_end)
         summary.interrupted = stopping() and summary.done < len(tasks)
     return summary
+
+
+def _end(item: str, outcome: Outcome, journal: Journal, summary: Summary, on_end: OnEnd) -> None:
+    told = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
+    if outcome.reason:
+        told["reason"] = outcome.reason
+    journal.add(item, outcome.event, **told)
+    summary.add(item, outcome)
+    on_end(item, outcome, summary)
 
 
 def _outcome_of(ended: Ended[Task]) -> Outcome:

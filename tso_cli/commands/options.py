@@ -353,6 +353,16 @@ def command_line() -> str:
     return shlex.join(words)
 
 
+def given(ctx: click.Context) -> dict[str, Any]:
+    """The parameters of a command that were not left to their defaults."""
+    default = click.core.ParameterSource.DEFAULT
+    return {
+        name: value
+        for name, value in ctx.params.items()
+        if ctx.get_parameter_source(name) is not default
+    }
+
+
 def log(message: str) -> None:
     """One line on stderr."""
     click.echo(message, err=True)

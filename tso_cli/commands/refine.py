@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -40,6 +41,13 @@ def _hypotheses() -> dict[str, str]:
     from ..diagnosis.hypotheses import HYPOTHESES
 
     return {name: hypothesis.says for name, hypothesis in HYPOTHESES.items()}
+
+
+def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> None:
+    if path is not None and not ctx.resilient_parsing:
+        from .refine_record import read_config
+
+        read_config(ctx, path)
 
 
 @click.command("refine", cls=options.Command, headings=HEADINGS, brief=BRIEF)
@@ -187,6 +195,18 @@ def _hypotheses() -> dict[str, str]:
 )
 @click.option("--report", type=PATH, help="Interactive page of the result, .html.")
 @options.flag(
+    "--record",
+    "Write a record of the run next to the result, .json: inputs, settings, decisions, findings.",
+)
+@click.option(
+    "--config",
+    type=PATH,
+    is_eager=True,
+    expose_value=False,
+    callback=_config,
+    help="Options from a file, unless they are given here: a record of --record, or TOML or JSON.",
+)
+@options.flag(
     "--check",
     "Only print camera, scale, the overlap with the mask, and what may be wrong.",
 )
@@ -223,5 +243,6 @@ def command(
     warned = ctx.with_resource(options.Warnings(quiet)).texts
     with options.loading():
         from .refine_run import RefineRun
-    run = RefineRun(chosen, warned, check, strict, quiet, verbose, as_json)
+    given = options.given(ctx)
+    run = RefineRun(chosen, given, warned, check, strict, quiet, verbose, as_json)
     ctx.exit(run.check() if check else run.refine())

@@ -19,10 +19,10 @@ from ..io.shipped import DEFAULT, named_checkpoint
 from ..io.views import ViewFiles
 from ..refinement import RefineResult
 from ..scene.load import Placing, Scene, load_points_scene
-from .options import FIT, require_output
+from .options import FIT, command_line, require_output
 
 if TYPE_CHECKING:
-    from ..plots.page import PageWords
+    from .refine_report import RefineReport
 
 
 @dataclass
@@ -191,6 +191,7 @@ class RefineOutputs:
     own_suffix: str  # of the input, if it is written again with other points
     overlay: Path | None
     report: Path | None
+    record: Path | None
     write_camera: Path | None
     overwrite: bool
 
@@ -205,6 +206,10 @@ class RefineOutputs:
         for name, file in (("--overlay", self.overlay), ("--report", self.report)):
             if file is not None and file.resolve() in [path.resolve() for path in inputs]:
                 raise InputError(f"{file}: is an input, expected another name for {name}")
+        if self.record is not None:
+            check_output(self.record, self.overwrite)
+            if self.record.resolve() in [path.resolve() for path in inputs]:
+                raise InputError(f"{self.record}: is an input, expected another name for -o")
         if self.write_camera is not None:
             require_output(self.write_camera, ".json", self.overwrite)
             others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
@@ -219,11 +224,11 @@ class RefineOutputs:
         result: RefineResult,
         scene: Scene,
         inputs: RefineInputs,
-        words: Callable[[], PageWords],
+        report: Callable[[], tuple[RefineReport, list[str]]],
     ) -> None:
         """Write all files, or none: the others take their names once the cloud is written.
 
-        ``words`` makes the words of the page.
+        ``report`` makes what page and record say, and the warnings.
         """
         photos: list[Pixels | None] = []
         if self.overlay is not None or self.report is not None:
@@ -240,7 +245,13 @@ class RefineOutputs:
                 from ..plots.page import write_page
 
                 page = stack.enter_context(atomic_output(self.report, self.overwrite))
-                write_page(page, result, scene, photos, words())
+                of_run, warned = report()
+                write_page(page, result, scene, photos, of_run.page(warned, command_line()))
+            if self.record is not None:
+                of_run, warned = report()
+                temporary = stack.enter_context(atomic_output(self.record, self.overwrite))
+                text = of_run.record(warned, command_line())
+                temporary.write_text(text, encoding="utf-8")
             if self.write_camera is not None:
                 records = [
                     CameraRecord(camera, mask)

@@ -67,7 +67,7 @@ class RefineReport:
     """A result and what it was made from.
 
     refine_camera : the cameras were corrected, or left because no correction was better.
-    seconds : wall time of each phase.
+    seconds : wall time of each phase. given : the options that were not left to their defaults.
     """
 
     result: RefineResult
@@ -78,6 +78,7 @@ class RefineReport:
     refine_camera: bool
     budget: str | float
     seconds: dict[str, float]
+    given: dict[str, Any]
 
     def document(self, warnings: list[str], written: bool = True) -> dict[str, Any]:
         """The JSON document; ``written`` : whether the outputs are."""
@@ -101,9 +102,12 @@ class RefineReport:
             "device": settings.device,
             "checkpoint": self.inputs.checkpoint,
             "assume": list(self.inputs.assume),
+            "inputs": self.inputs.files,
+            "options": self.given,
             "output": self.outputs.output if written else None,
             "overlay": self.outputs.overlay if written else None,
             "report": self.outputs.report if written else None,
+            "record": self.outputs.record if written else None,
             "camera": views[0]["camera"],
             "views": views,
             "frame": self.scene.frame,
@@ -158,6 +162,22 @@ class RefineReport:
             shift = float(np.linalg.norm(after - before) / np.linalg.norm(before))
             rows.append((view, camera, float(angle_between(view.camera.R, camera.R)), shift))
         return rows
+
+    def record(self, warnings: list[str], command: str) -> str:
+        """The record of the run as JSON: the document, and what tells it from other runs."""
+        from .refine_record import SCHEMA, digest_of, key_of, options_of
+
+        assert self.outputs.record
+        digests = {str(path): digest_of(path) for path in self.inputs.files}
+        record = {
+            "schema": SCHEMA,
+            "command": command,
+            "key": key_of(self.given, digests.values()),
+            **self.document(warnings),
+            "inputs": digests,
+            "options": options_of(self.given, self.outputs.record.parent),
+        }
+        return options.json_text(record) + "\n"
 
     def page(self, warnings: list[str], command: str) -> PageWords:
         """The words of the page: the lines that are printed, the document, and the command."""

@@ -6,7 +6,7 @@ import sys
 import time
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..diagnosis.examine import NoOverlapError
 from ..diagnosis.hypotheses import left_handed
@@ -20,9 +20,6 @@ from .refine_files import RefineInputs, RefineOutputs
 from .refine_report import RefineReport
 from .sentences import Words
 
-if TYPE_CHECKING:
-    from ..plots.page import PageWords
-
 # Memory of one control point.
 BYTES_OF_A_CONTROL_POINT = 1100
 INTERRUPTED = 130
@@ -32,12 +29,14 @@ INTERRUPTED = 130
 class RefineRun:
     """What the options ask for, read and checked.
 
-    ``warned`` collects the warnings of the run.
+    ``given`` are those of the ``chosen`` options that were not left to their defaults. ``warned``
+    collects the warnings of the run.
     """
 
     def __init__(
         self,
         chosen: dict[str, Any],
+        given: dict[str, Any],
         warned: list[str],
         check: bool,
         strict: bool,
@@ -46,13 +45,15 @@ class RefineRun:
         as_json: bool,
     ) -> None:
         self._started = time.perf_counter()
+        self._given = given
         self._warned, self._strict, self._as_json = warned, strict, as_json
         self._quiet, self._verbose = quiet, verbose
         self._inputs = options.pick(RefineInputs, chosen)
         source = self._inputs.source
         suffix = output_suffix(source) if self._inputs.mode == "points" else ".ply"
         output = chosen["output"] or Path(f"{source.stem}.refined{suffix}")
-        named = {**chosen, "output": output, "own_suffix": suffix}
+        record = output.with_suffix(".json") if chosen["record"] else None
+        named = {**chosen, "output": output, "own_suffix": suffix, "record": record}
         self._outputs = options.pick(RefineOutputs, named)
         self._refine_camera = chosen["refine_camera"]
         self._require_points_mode()
@@ -77,22 +78,29 @@ class RefineRun:
 
     def refine(self) -> int:
         """Refine, write the files and print the result; the exit code."""
+        report, refused = self.work()
+        self._print(report, refused)
+        return INTERRUPTED if report.result.fit.stop_reason == "interrupted" else 0
+
+    def work(self) -> tuple[RefineReport, bool]:
+        """Refine and write the files: the report, and whether --strict left them unwritten."""
         self._require_writable_cameras()
         read = time.perf_counter() - self._started
         result = self._refined()
         writing = time.perf_counter()
         refused = self._strict and result.trust.verdict in ("doubtful", None)
         if not refused:
-            measured = {"read": read, **result.cost.seconds}
             self._outputs.write(
-                result, self._scene, self._inputs, lambda: self._page(result, measured)
+                result,
+                self._scene,
+                self._inputs,
+                lambda: self._words_so_far(result, {"read": read, **result.cost.seconds}),
             )
         finished = time.perf_counter()
         for text in self._words.warnings(result):
             warnings.warn(text, stacklevel=1)
         times = {"write": finished - writing, "total": finished - self._started}
-        self._print(result, {"read": read, **result.cost.seconds, **times}, refused)
-        return INTERRUPTED if result.fit.stop_reason == "interrupted" else 0
+        return self._report(result, {"read": read, **result.cost.seconds, **times}), refused
 
     def _require_points_mode(self) -> None:
         """Refuse options about cameras in the network modes."""
@@ -170,16 +178,17 @@ class RefineRun:
     def _report(self, result: RefineResult, seconds: dict[str, float]) -> RefineReport:
         budget = "auto" if self._config.budget == "auto" else self._config.budget_seconds
         of_run = self._scene, self._inputs, self._outputs, self._words
-        return RefineReport(result, *of_run, self._refine_camera, budget, seconds)
+        return RefineReport(result, *of_run, self._refine_camera, budget, seconds, self._given)
 
-    def _page(self, result: RefineResult, seconds: dict[str, float]) -> PageWords:
-        """What the page says: of the seconds, those until now."""
+    def _words_so_far(
+        self, result: RefineResult, seconds: dict[str, float]
+    ) -> tuple[RefineReport, list[str]]:
+        """What a page or a record says: of the seconds, those until now; and the warnings."""
         so_far = {**seconds, "total": time.perf_counter() - self._started}
-        warned = [*self._warned, *self._words.warnings(result)]
-        return self._report(result, so_far).page(warned, options.command_line())
+        return self._report(result, so_far), [*self._warned, *self._words.warnings(result)]
 
-    def _print(self, result: RefineResult, seconds: dict[str, float], refused: bool) -> None:
-        report = self._report(result, seconds)
+    def _print(self, report: RefineReport, refused: bool) -> None:
+        result = report.result
         if self._as_json:
             options.echo_json(report.document(self._warned, written=not refused))
         if refused:

@@ -1,0 +1,83 @@
+"""What does the work of a batch: processes of this machine, or a cluster of dask."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import InputError, TsoError
+from ..io.output import reason
+from ..workers import WorkerPool
+
+ENGINES = ("processes", "dask")
+# Items read ahead for each process.
+AHEAD = 2
+# A task that travels to a scheduler should take about so long.
+TASK_SECONDS = 5.0
+# How long to wait for a first worker of a cluster.
+PATIENCE = 60
+
+
+@dataclass(frozen=True)
+class Engine:
+    """``window`` : tasks that are with the executor at once. ``task_seconds`` : as in `each`."""
+
+    executor: Executor
+    workers: int
+    window: int
+    task_seconds: float = 0.0
+
+
+@contextmanager
+def engine(name: str, processes: int, scheduler: str | None) -> Iterator[Engine]:
+    """The engine ``name`` while it is used."""
+    if name == "dask":
+        with _dask(processes, scheduler) as found:
+            yield found
+        return
+    pool = WorkerPool(processes)
+    try:
+        yield Engine(pool, processes, AHEAD * processes)
+    finally:
+        pool.shutdown(wait=False)
+
+
+@contextmanager
+def _dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise InputError(
+            "`engine` dask needs dask, which is not installed: pip install 'tso-cli[dask]'"
+        ) from None
+    # A task whose worker dies comes back at once, and `each` decides what is tried again. With more
+    # failures allowed, a task that kills its worker would kill several.
+    settings = {
+        "distributed.scheduler.allowed-failures": 0,
+        "distributed.comm.timeouts.connect": "20s",
+        "distributed.worker.daemon": False,
+        "distributed.admin.log-format": "%(name)s: %(message)s",
+        "logging.distributed": "error",
+    }
+    with dask.config.set(settings):
+        local: dict[str, Any] = dict(threads_per_worker=1, dashboard_address=None)
+        cluster = None if scheduler else LocalCluster(n_workers=processes, **local)
+        try:
+            client = Client(scheduler or cluster)
+            client.wait_for_workers(1, timeout=PATIENCE)
+        except (OSError, TimeoutError, ValueError) as error:
+            where = f"no worker of {scheduler}" if scheduler else "no worker"
+            raise TsoError(f"{where} can be reached ({reason(error)})") from None
+        try:
+            workers = sum(client.ncores().values())
+            # No result is taken for that of another task with the same arguments.
+            executor = client.get_executor(pure=False, retries=0)
+            yield Engine(executor, workers, AHEAD * workers, TASK_SECONDS)
+        finally:
+            client.close()
+            if cluster is not None:
+                cluster.close()

@@ -1,0 +1,110 @@
+"""One item of a batch, as a process does it: a run of `tso refine` that prints nothing."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import click
+
+from ..batch.run import Outcome, Task
+from ..errors import InputError, TsoError
+from ..kernels.dispatch import decided
+from . import options
+from .refine import command as refine_command
+from .refine_files import RefineInputs
+from .refine_record import digest_of, key_of
+from .refine_run import RefineRun
+
+# Errors of a disk or network that may be over after a moment: an item is tried so often, with a
+# pause of so many seconds before.
+PASSING = (
+    errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY, errno.ECONNRESET,
+    errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EREMOTEIO, errno.ENFILE,
+)  # fmt: skip
+PAUSES = (0.0, 0.5, 2.0)
+
+
+def context_of(arguments: Sequence[str]) -> click.Context:
+    """What `tso refine` makes of its arguments; raises click's errors."""
+    return refine_command.make_context("refine", list(arguments))
+
+
+def _inputs(ctx: click.Context) -> RefineInputs:
+    return options.pick(RefineInputs, ctx.params)
+
+
+def _key(ctx: click.Context) -> str:
+    return key_of(options.given(ctx), map(digest_of, _inputs(ctx).files))
+
+
+def unchanged(task: Task) -> bool:
+    """Whether the inputs and settings of an item have the key of its last end."""
+    ctx = context_of(task.arguments)
+    return _key(ctx) == task.key and (not task.written or ctx.params["output"].is_file())
+
+
+def refine_item(task: Task, compiled: bool) -> Outcome:
+    """Refine an item, write its files, and say what became of it."""
+    begun = time.perf_counter()
+    for pause in PAUSES:
+        time.sleep(pause)
+        try:
+            outcome = _refined(task, decided(compiled))
+            break
+        except (TsoError, OSError, click.ClickException) as error:
+            refused = isinstance(error, (InputError, click.ClickException))
+            text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+            outcome = Outcome("refused" if refused else "failed", None, 0.0, text)
+            if not _may_pass(error):
+                break
+            outcome = Outcome("failed", None, 0.0, text)
+    if outcome.event == "refused":
+        outcome = Outcome("refused", _key_if_read(task), 0.0, outcome.reason)
+    seconds = time.perf_counter() - begun
+    return Outcome(outcome.event, outcome.key, seconds, outcome.reason, outcome.values)
+
+
+def _refined(task: Task, loops: AbstractContextManager[Any]) -> Outcome:
+    ctx = context_of(task.arguments)
+    chosen = dict(ctx.params)
+    strict = chosen.pop("strict")
+    for name in ("check", "quiet", "verbose", "as_json"):
+        chosen.pop(name)
+    output = chosen["output"]
+    # A file of an earlier run of this batch is its own.
+    chosen["overwrite"] = chosen["overwrite"] or task.known
+    chosen["record"] = True
+    output.parent.mkdir(parents=True, exist_ok=True)
+    key = _key(ctx)
+    with ctx, loops, options.Warnings(quiet=True) as warned:
+        run = RefineRun(chosen, options.given(ctx), warned.texts, False, strict, True, False, False)
+        report, unwritten = run.work()
+        document = report.document(warned.texts, written=not unwritten)
+    doubtful = unwritten or document["verdict"] == "doubtful"
+    values = {
+        name: options.plain(document[name])
+        for name in ("verdict", "confidence", "iou_before", "iou_after", "output")
+    }
+    why = document["reason"] if doubtful else ""
+    return Outcome("doubtful" if doubtful else "done", key, 0.0, why, values)
+
+
+def _key_if_read(task: Task) -> str | None:
+    """The key of an item that was refused; None if its files cannot be read."""
+    try:
+        return _key(context_of(task.arguments))
+    except (TsoError, OSError, click.ClickException):
+        return None
+
+
+def _may_pass(error: BaseException | None) -> bool:
+    """Whether a passing error of the system caused ``error``."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in PASSING:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
