@@ -137,7 +137,7 @@ def _named(
                 f"another: name it in the column {OUTPUT}"
             )
         places[name] = item.place
-        named.append((name, (*arguments, *more)))
+        named.append((name, (*more, *arguments)))
     return named
 
 
