@@ -20,6 +20,7 @@ from ..io.reading import plain, shown
 from ..workers import cores
 from . import options
 from .batch_item import context_of, refine_command, refine_item, unchanged
+from .batch_page import INDEX, write_index
 from .options import PATH, choice, flag, option
 from .refine_record import in_folder, parameter_of
 
@@ -108,16 +109,17 @@ def command(
     part = "" if shard is None else f"{shard[0]}-of-{shard[1]}."
     begun = time.perf_counter()
     with open_journal(output / f"{part}{NAME}") as journal:
-        summary = _run(named, output, journal, jobs, engine, scheduler, overwrite, quiet)
+        pictures = output if report else None
+        summary = _run(named, output, journal, jobs, engine, scheduler, overwrite, quiet, pictures)
     if report:
-        from .batch_page import write_index
-
         write_index(output)
     seconds = time.perf_counter() - begun
     if as_json:
         options.echo_json(_document(summary, seconds))
     elif not quiet:
         _print(summary, journal.path, seconds)
+        if report:
+            click.echo(f"{output / INDEX}: a page of all items")
     not_done = summary.total - summary.counts["done"] - summary.counts["skipped"]
     ctx.exit(INTERRUPTED if summary.interrupted else NOT_ALL_DONE if not_done else 0)
 
@@ -221,6 +223,7 @@ def _run(
     scheduler: str | None,
     overwrite: bool,
     quiet: bool,
+    pictures: Path | None,
 ) -> Summary:
     past = read_journal(journal.path)
 
@@ -240,7 +243,7 @@ def _run(
         if not quiet:
             bar(summary.done, summary.total, f"items, {pace:.1f}/s, {worse} not done")
 
-    work = partial(refine_item, compiled=compiled)
+    work = partial(refine_item, compiled=compiled, pictures=pictures)
     with engine(name, min(jobs or cores(), max(1, len(tasks))), scheduler) as used:
         try:
             return run(

@@ -6,12 +6,14 @@ import errno
 import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import Any
 
 import click
 
 from ..batch.run import Outcome, Task
 from ..errors import InputError, TsoError
+from ..io.output import atomic_output
 from ..kernels.dispatch import decided
 from . import options
 from .refine import command as refine_command
@@ -47,13 +49,16 @@ def unchanged(task: Task) -> bool:
     return _key(ctx) == task.key and (not task.written or ctx.params["output"].is_file())
 
 
-def refine_item(task: Task, compiled: bool) -> Outcome:
-    """Refine an item, write its files, and say what became of it."""
+def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
+    """Refine an item, write its files, and say what became of it.
+
+    ``pictures`` is the folder of the batch if an index page will show a picture of each item.
+    """
     begun = time.perf_counter()
     for pause in PAUSES:
         time.sleep(pause)
         try:
-            outcome = _refined(task, decided(compiled))
+            outcome = _refined(task, decided(compiled), pictures)
             break
         except (TsoError, OSError, click.ClickException) as error:
             refused = isinstance(error, (InputError, click.ClickException))
@@ -68,7 +73,7 @@ def refine_item(task: Task, compiled: bool) -> Outcome:
     return Outcome(outcome.event, outcome.key, seconds, outcome.reason, outcome.values)
 
 
-def _refined(task: Task, loops: AbstractContextManager[Any]) -> Outcome:
+def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | None) -> Outcome:
     ctx = context_of(task.arguments)
     chosen = dict(ctx.params)
     strict = chosen.pop("strict")
@@ -84,6 +89,14 @@ def _refined(task: Task, loops: AbstractContextManager[Any]) -> Outcome:
         run = RefineRun(chosen, options.given(ctx), warned.texts, False, strict, True, False, False)
         report, unwritten = run.work()
         document = report.document(warned.texts, written=not unwritten)
+        if pictures is not None:
+            from ..plots.thumbnail import write_thumbnail
+            from .batch_page import picture_of
+
+            picture = picture_of(pictures, task.item)
+            picture.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_output(picture, overwrite=True) as temporary:
+                write_thumbnail(temporary, report.result, report.scene.views)
     doubtful = unwritten or document["verdict"] == "doubtful"
     values = {
         name: options.plain(document[name])
