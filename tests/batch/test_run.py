@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tso_cli.batch.journal import entries, open_journal, read_journal
+from tso_cli.batch.journal import ENDS, entries, open_journal, read_journal
 from tso_cli.batch.run import Outcome, run, tasks_of
 from tso_cli.errors import InputError
 from tso_cli.workers import WorkerPool
@@ -48,7 +48,7 @@ def batch(tmp_path):
 def ends(tmp_path):
     found = {}
     for entry in entries(tmp_path / "journal.jsonl"):
-        if entry["event"] != "started":
+        if entry["event"] in ENDS:
             found.setdefault(entry["item"], []).append(entry["event"])
     return found
 

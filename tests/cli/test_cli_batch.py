@@ -238,3 +238,50 @@ def test_after_any_kills_every_item_ends_once_and_nothing_is_left(items, tmp_pat
     reason = [e.get("reason", "") for e in entries(Path("out/journal.jsonl"))
               if e["item"] == "poison.ply"][-1]  # fmt: skip
     assert "was killed by SIGKILL" in reason
+
+
+@linux
+@pytest.mark.slow
+def test_a_cluster_of_dask_loses_nothing_and_names_the_poison(items, tmp_path):
+    """Two workers, one of which is killed on the way, and an item that kills its worker."""
+    pytest.importorskip("distributed")
+    environment = poisonous(tmp_path / "plugin") | {"OMP_NUM_THREADS": "2"}
+    Path("p.poison").write_text("x")
+    names = [f"{number}.ply" for number in range(40)]
+    items(HEADER, *(row(name) for name in names), row("poison.ply", "p.poison"))
+    process = started(tmp_path, environment, "--engine", "dask", "-j", "2")
+    journal = Path("out/journal.jsonl")
+    until = time.monotonic() + 60.0
+    while not (journal.exists() and journal.read_text().count('"done"') >= 5):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    # The last child is a worker; the first are those that watch over the others.
+    os.kill(max(children_of(process.pid)), signal.SIGKILL)
+    assert process.wait() == 3
+    ends = ends_of(journal)
+    assert ends.pop("poison.ply") == ["failed"]
+    assert ends == {name: ["done"] for name in names}
+    assert "its process died" in journal.read_text()
+
+
+def test_a_cluster_that_is_not_there_is_refused(items, tso):
+    pytest.importorskip("distributed")
+    items(HEADER, row("a.ply"))
+    more = ("--engine", "dask", "--scheduler", "tcp://127.0.0.1:1")
+    found = tso("batch", "items.csv", "-o", "out", "-q", *more)
+    assert found.code == 1
+    assert "no worker of tcp://127.0.0.1:1 can be reached" in found.err
+    assert "--engine dask" in tso("batch", "items.csv", "-o", "out", "--scheduler", "x").refusal
+
+
+def test_the_index_shows_every_item_with_its_last_end(items, tso):
+    items(HEADER, row("a.ply"), row("in/<b>.ply"), row("c.ply", "nothing.ply"))
+    assert tso("batch", "items.csv", "-o", "out", "--report", "-q").code == 3
+    page = Path("out/index.html").read_text()
+    rows = json.loads(page.partition('id="rows">')[2].partition("</script>")[0])["rows"]
+    assert [one["event"] for one in rows].count("done") == 2
+    assert {one.get("picture") for one in rows} == {
+        "pictures/a.ply.png", "pictures/in/%3Cb%3E.ply.png", None,
+    }  # fmt: skip
+    assert Path("out/pictures/in/<b>.ply.png").is_file()
+    assert "<b>" not in page

@@ -98,7 +98,6 @@ def command(
     items = read_manifest(manifest)
     folder = manifest if manifest.is_dir() else manifest.parent
     more = ["--strict"] if strict else []
-    more += ["--overwrite"] if overwrite else []
     named = _named(items, Path() if manifest.is_dir() else folder, output, more)
     if shard is not None:
         named = shard_of(named, shard)

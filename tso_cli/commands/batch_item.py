@@ -80,9 +80,8 @@ def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | No
     for name in ("check", "quiet", "verbose", "as_json"):
         chosen.pop(name)
     output = chosen["output"]
-    # A file of an earlier run of this batch is its own.
-    chosen["overwrite"] = chosen["overwrite"] or task.known
-    chosen["record"] = True
+    # Files that are not of this batch were refused before; one of its own may be half of a result.
+    chosen["overwrite"] = chosen["record"] = True
     output.parent.mkdir(parents=True, exist_ok=True)
     key = _key(ctx)
     with ctx, loops, options.Warnings(quiet=True) as warned:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from ..batch.journal import NAME, STARTED, entries
+from ..batch.journal import ENDS, NAME, entries
 from ..io.output import write_file
 from ..plots.index_page import COLUMNS, index_page
 
@@ -23,7 +23,7 @@ def write_index(output: Path) -> Path:
     rows: dict[str, dict[str, Any]] = {}
     for journal in sorted(output.glob(f"*{NAME}")):
         for entry in entries(journal):
-            if entry["event"] != STARTED:
+            if entry["event"] in ENDS:
                 rows[entry["item"]] = {key: entry.get(key) for key in COLUMNS}
     for item, row in rows.items():
         if picture_of(output, item).is_file():

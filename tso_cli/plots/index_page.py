@@ -31,11 +31,12 @@ th[aria-sort] button::after{content:" \\25BC"}
 th[aria-sort=ascending] button::after{content:" \\25B2"}
 td.number{text-align:right;font-variant-numeric:tabular-nums}
 td img{display:block;background:#fff;max-width:196px}
-td.name,td.why{overflow-wrap:anywhere}
+td.name,td.why{overflow-wrap:anywhere}td.name{min-width:11rem}
 .bar{display:flex;gap:.75rem;flex-wrap:wrap;margin:1rem 0}
 input,select,.bar button{font:inherit;padding:.25rem .5rem}
 @media(max-width:45rem){thead{display:none}tr{display:block;border-bottom:1px solid #8886;
-padding:.5rem 0}td,td.number{display:block;border:0;text-align:left;padding:.1rem 0}
+padding:.5rem 0}td:empty{display:none!important}
+td,td.number{display:block;border:0;text-align:left;padding:.1rem 0}
 td[data-name]:not(.name)::before{content:attr(data-name)": ";opacity:.7}}
 """
 _SCRIPT = """
