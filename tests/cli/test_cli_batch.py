@@ -285,3 +285,34 @@ def test_the_index_shows_every_item_with_its_last_end(items, tso):
     }  # fmt: skip
     assert Path("out/pictures/in/<b>.ply.png").is_file()
     assert "<b>" not in page
+
+
+def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
+    pytest.importorskip("fsspec")
+    for name in ("initial.ply", "mask.png", "camera.json"):
+        shutil.copy(CHAIR / name, name)
+    here = f"file://{tmp_path}"
+    items(
+        "cloud,mask,camera,output,steps,preset",
+        f"{here}/initial.ply,{here}/mask.png,{here}/camera.json,{here}/far/a.ply,2,paper",
+        "initial.ply,mask.png,camera.json,b.ply,2,paper",
+        f"{here}/nothing.ply,mask.png,camera.json,c.ply,2,paper",
+    )
+    found = tso("batch", "items.csv", "-o", "out", "-q", "--json")
+    assert found.code == 3
+    (refused,) = json.loads(found.out)["not_done"]
+    assert refused["reason"] == f"{here}/nothing.ply: does not exist, expected a file"
+    results = [read_cloud(path).points for path in ("far/a.ply", "out/b.ply")]
+    np.testing.assert_array_equal(*results)
+    assert sorted(path.name for path in Path("far").iterdir()) == ["a.json", "a.ply"]
+    again = json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)
+    assert again["skipped"] == 2
+    os.utime("initial.ply", (0, 0))
+    assert json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)["done"] == 1
+    Path("out/journal.jsonl").unlink()
+    assert (
+        "exists already"
+        in json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)["not_done"][0][
+            "reason"
+        ]
+    )

@@ -13,6 +13,7 @@ import click
 from ..batch.engines import ENGINES, engine
 from ..batch.journal import NAME, Journal, open_journal, read_journal
 from ..batch.manifest import CLOUD, MASK, OUTPUT, SEPARATOR, Item, read_manifest, shard_of
+from ..batch.remote import exists, is_remote
 from ..batch.run import Outcome, Summary, run, tasks_of
 from ..errors import InputError
 from ..io.clouds import output_suffix
@@ -172,6 +173,8 @@ def _arguments(item: Item, folder: Path, output: Path) -> tuple[str, list[str]]:
     mode = str(item.values.get("mode", "points"))
     suffix = output_suffix(cloud) if mode == "points" else ".ply"
     name = str(item.values.get(OUTPUT, f"{cloud.stem}.refined{suffix}"))
+    if is_remote(name):
+        return name, [*words, "-o", name, "--", *positional]
     if Path(name).is_absolute() or ".." in Path(name).parts:
         raise InputError(
             f"{item.place}: {OUTPUT} is {plain(name)}, expected a name below the folder of -o"
@@ -227,9 +230,11 @@ def _run(
     past = read_journal(journal.path)
 
     def refusal(item: str, known: bool) -> str:
-        if overwrite or known or not (output / item).exists():
+        place = item if is_remote(item) else output / item
+        there = exists(item) if is_remote(item) else (output / item).exists()
+        if overwrite or known or not there:
             return ""
-        return f"{output / item}: exists already, expected a new name or --overwrite"
+        return f"{place}: exists already, expected a new name or --overwrite"
 
     tasks = tasks_of(named, past, refusal)
     compiled = _compiled(quiet)

@@ -139,6 +139,6 @@ def in_folder(value: Any, parameter: click.Parameter, folder: Path) -> Any:
     if isinstance(value, (list, tuple)):
         return [in_folder(one, parameter, folder) for one in value]
     is_path = isinstance(parameter.type, options.FilePath) and isinstance(value, str)
-    if not is_path or Path(value) in (options.FIT, Path("default")):
+    if not is_path or "://" in value or Path(value) in (options.FIT, Path("default")):
         return value
     return str(folder / value)
