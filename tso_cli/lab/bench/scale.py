@@ -1,4 +1,4 @@
-"""`tso lab scale`: the pace of batches, and what is left of a batch that is killed again and again."""
+"""`tso lab scale`: the pace of batches, and what is left of a batch that is killed many times."""
 
 from __future__ import annotations
 
