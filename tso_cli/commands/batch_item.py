@@ -23,8 +23,8 @@ from .refine_files import RefineInputs
 from .refine_record import digest_of, key_of
 from .refine_run import RefineRun
 
-# Errors of a disk or network that may be over after a moment: an item is tried so often, with a
-# pause of so many seconds before.
+# Errors of a disk or network that may be over after a moment, and the seconds to wait before each
+# attempt.
 PASSING = (
     errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY, errno.ECONNRESET,
     errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EREMOTEIO, errno.ENFILE,

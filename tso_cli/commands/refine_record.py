@@ -1,4 +1,4 @@
-"""The record of a run, from which it can be repeated, and the key that tells runs apart."""
+"""The record of a run, from which it can be repeated, and its key, which no other run has."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def digest_of(path: Path) -> str:
 
 
 def key_of(given: Mapping[str, Any], digests: Iterable[str]) -> str:
-    """What tells this run from another: the version, the options given, and the files' contents."""
+    """What no other run has: the version, the options given, and the files' contents."""
     settings = {
         name: value for name, value in sorted(given.items())
         if name not in OF_OUTPUT and not _has_path(value)

@@ -167,7 +167,7 @@ def _nothing_to_do(folder: Path) -> None:
     items = [(row[3], tuple(row)) for row in _rows(folder)]
     with open_journal(folder / NAME) as journal, WorkerPool(os.cpu_count() or 1) as pool:
         tasks = tasks_of(items, {}, lambda item, known: "")
-        run(tasks, {}, _no_work, bool, pool, 8, journal, lambda *told: None)
+        run(tasks, {}, _no_work, bool, pool, 8, journal, lambda *ended: None)
 
 
 def _no_work(task: Task) -> Outcome:
