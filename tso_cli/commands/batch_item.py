@@ -48,7 +48,7 @@ def _key(task: Task) -> str:
 
 
 def _fetched(path: Path) -> bool:
-    """Whether a path was an address, of which `Path` has made one with a single slash."""
+    """Whether a path was an address; `Path` has left it a single slash."""
     return re.match(r"[a-z][a-z0-9+.-]+:/", path.as_posix()) is not None
 
 

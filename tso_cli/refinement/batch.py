@@ -1,4 +1,4 @@
-"""Many scenes, each of which is refined by itself: `refine_each` and `refine_batch`."""
+"""Many scenes, refined one by one: `refine_each` and `refine_batch`."""
 
 from __future__ import annotations
 
