@@ -18,6 +18,7 @@ from tests.scenes import EXAMPLES
 from tso_cli.batch.journal import ENDS, entries
 from tso_cli.io.clouds import read_cloud, write_cloud
 
+ROOT = Path(__file__).parents[2]
 CHAIR, CAR = EXAMPLES / "chair", EXAMPLES / "car"
 FEW = "--preset paper --steps 2"  # a quick run
 linux = pytest.mark.skipif(sys.platform != "linux", reason="kills processes by /proc")
@@ -316,3 +317,25 @@ def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
             "reason"
         ]
     )
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "initial.ply mask.png",
+        "initial.ply mask.png --preset paper --steps 2",
+        "initial.ply mask.png --steps 0",
+        "initial.ply mask.png --camera fit --write-camera fitted.json",
+        "initial.ply mask.png --refine-camera --assume mask-flipped",
+        "image.png mask.png --mode encoder --steps 1",
+    ],
+)
+def test_a_record_is_as_its_schema_says(folder, tso, arguments):
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads((ROOT / "tso_cli/schemas/record.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert tso("refine", *arguments.split(), "--record", "-o", "r.ply", "-q").code == 0
+    record = json.loads(Path("r.json").read_text())
+    jsonschema.validate(record, schema)
+    unknown = record.keys() - schema["properties"].keys()
+    assert not unknown
