@@ -137,7 +137,7 @@ def test_a_record_repeats_its_run_wherever_it_is_read(folder, tso, monkeypatch):
     first = ("refine", "initial.ply", "mask.png", "--steps", 3, "--preset", "paper", "--record")
     Path("in").mkdir()
     assert tso(*first, "-o", "in/first.ply").code == 0
-    record = json.loads(Path("in/first.json").read_text())
+    record = json.loads(Path("in/first.record.json").read_text())
     assert record["schema"] == 1
     assert set(record["inputs"]) == {"initial.ply", "mask.png", "camera.json"}
     assert record["options"]["masks"] == ["../mask.png"]
@@ -145,7 +145,7 @@ def test_a_record_repeats_its_run_wherever_it_is_read(folder, tso, monkeypatch):
     before = Path("in/first.ply").read_bytes()
     monkeypatch.chdir("in")
     Path("first.ply").unlink()
-    assert tso("refine", "--config", "first.json", "-q").code == 0
+    assert tso("refine", "--config", "first.record.json", "-q").code == 0
     assert Path("first.ply").read_bytes() == before
 
 
@@ -305,7 +305,7 @@ def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
     assert refused["reason"] == f"{here}/nothing.ply: does not exist, expected a file"
     results = [read_cloud(path).points for path in ("far/a.ply", "out/b.ply")]
     np.testing.assert_array_equal(*results)
-    assert sorted(path.name for path in Path("far").iterdir()) == ["a.json", "a.ply"]
+    assert sorted(path.name for path in Path("far").iterdir()) == ["a.ply", "a.record.json"]
     again = json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)
     assert again["skipped"] == 2
     os.utime("initial.ply", (0, 0))
@@ -335,7 +335,7 @@ def test_a_record_is_as_its_schema_says(folder, tso, arguments):
     schema = json.loads((ROOT / "tso_cli/schemas/record.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     assert tso("refine", *arguments.split(), "--record", "-o", "r.ply", "-q").code == 0
-    record = json.loads(Path("r.json").read_text())
+    record = json.loads(Path("r.record.json").read_text())
     jsonschema.validate(record, schema)
     unknown = record.keys() - schema["properties"].keys()
     assert not unknown
