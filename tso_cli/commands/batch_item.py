@@ -34,7 +34,8 @@ PAUSES = (0.0, 0.5, 2.0)
 
 def context_of(arguments: Sequence[str]) -> click.Context:
     """What `tso refine` makes of its arguments; raises click's errors."""
-    return refine_command.make_context("refine", list(arguments))
+    # click keeps the help option of the first context for all later ones.
+    return refine_command.make_context("refine", list(arguments), **options.CONTEXT)
 
 
 def _key(task: Task) -> str:
