@@ -339,3 +339,37 @@ def test_a_record_is_as_its_schema_says(folder, tso, arguments):
     jsonschema.validate(record, schema)
     unknown = record.keys() - schema["properties"].keys()
     assert not unknown
+
+
+def recipe(*words):
+    """The line of docs/scale.md that holds the words."""
+    lines = (ROOT / "docs/scale.md").read_text().splitlines()
+    (line,) = [line for line in lines if all(word in line for word in words)]
+    return line
+
+
+@linux
+def test_the_recipe_for_slurm_does_every_item_once(items, tmp_path):
+    """`srun` only runs what it is given, as on a cluster of one machine."""
+    items(HEADER, *(row(f"{number}.ply") for number in range(3)))
+    line = recipe("srun", "SLURM_ARRAY_TASK_ID").replace("-j 16", "-q")
+    script = f'srun() {{ "$@"; }}\ntso() {{ {sys.executable} -m tso_cli "$@"; }}\n{line}\n'
+    for index in (1, 2):
+        variables = {"SLURM_ARRAY_TASK_ID": str(index), "SLURM_ARRAY_TASK_COUNT": "2"}
+        environment = os.environ | variables | {"PYTHONPATH": str(ROOT)}
+        subprocess.run(["sh", "-c", script], env=environment, cwd=tmp_path, check=True)
+    ends = [ends_of(path) for path in sorted(Path("results").glob("*.jsonl"))]
+    assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(3)}
+    assert not ends[0].keys() & ends[1].keys()
+
+
+@pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed")
+def test_the_recipe_for_gnu_parallel_does_every_item_once(items, tmp_path):
+    items(HEADER, *(row(f"{number}.ply") for number in range(3)))
+    line = recipe("parallel", "--sshloginfile").replace("--sshloginfile machines.txt --wd .", "")
+    command = line.replace(" tso ", f" {sys.executable} -m tso_cli ").replace("{}/8", "{}/2")
+    command = command.partition(":::")[0] + "-q ::: 1 2"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run(["sh", "-c", command], env=environment, cwd=tmp_path, check=True)
+    ends = [ends_of(path) for path in sorted(Path("results").glob("*.jsonl"))]
+    assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(3)}
