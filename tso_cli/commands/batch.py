@@ -45,7 +45,7 @@ class Shard(click.ParamType):
 
 
 @click.command("batch", cls=options.Command, headings={"output": "Output", "jobs": "Running"})
-@click.argument("manifest", type=PATH)
+@click.argument("manifest", metavar="MANIFEST|FOLDER", type=PATH)
 @options.output("Folder for the results and the journal; it is made if need be.", required=True)
 @flag("--strict", "Write no doubtful results.")
 @options.overwrite
