@@ -525,9 +525,15 @@ def test_a_result_is_written_as_what_its_suffix_says(tmp_path):
         write_cloud(tmp_path / name, moved, like=cloud)
         np.testing.assert_allclose(read_cloud(tmp_path / name).points, moved, atol=1e-6)
     path, mesh = a_glb(tmp_path, textured=True)
-    lost = "its textures, materials, texture coordinates and normals do not go into a .ply; write"
+    lost = "its textures, materials and texture coordinates do not go into .ply; write"
     with pytest.warns(UserWarning, match=f"{lost} .glb to keep them"):
         write_cloud(tmp_path / "a.ply", read_cloud(path).points, like=read_cloud(path))
+    normals = [read_cloud(file).source.read_normals() for file in (path, tmp_path / "a.ply")]
+    np.testing.assert_allclose(normals[1], normals[0], atol=1e-6)
+    lost = "texture coordinates and normals do not go"
+    with pytest.warns(UserWarning, match=lost):
+        scene = read_cloud(path)
+        write_cloud(tmp_path / "a.ply", scene.points + 1.0, like=scene, overwrite=True)
     assert (read_cloud(tmp_path / "a.ply").faces() == mesh.faces).all()
     assert_refused(
         "expected .ply or .npy or .xyz", write_cloud, tmp_path / "a.glb", moved, like=cloud
@@ -539,6 +545,7 @@ def test_a_result_is_written_as_what_its_suffix_says(tmp_path):
     [
         ("", ""),
         ("vn 0 0 1\n", "normals"),
+        ("vn 0 0 1\nf 3//1 2//1 1//1\n", ""),
         ("usemtl a\nvt 0 0\n", "materials and texture coordinates"),
     ],
 )
@@ -549,7 +556,7 @@ def test_a_warning_names_what_a_ply_has_no_place_for_if_it_is_there(tmp_path, te
         warnings.simplefilter("always")
         write_cloud(tmp_path / "a.ply", cloud.points, like=cloud)
     said = [str(one.message).partition("a.obj: ")[2] for one in caught]
-    assert said == ([f"its {lost} do not go into a .ply; write .obj to keep them"] if lost else [])
+    assert said == ([f"its {lost} do not go into .ply; write .obj to keep them"] if lost else [])
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import click
 from ..errors import InputError
 from ..io.cameras import CameraRecord, camera_text, is_there, read_partial_cameras, words_of
 from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
-from ..io.clouds import NEW, check_rounding, read_cloud, write_cloud
+from ..io.clouds import MOVABLE, NEW, check_rounding, read_cloud, warn_of_losses, write_cloud
 from ..io.output import check_output, write_file
 from . import options
 from .options import PATH
@@ -92,17 +92,20 @@ def command(
 
 def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
     suffix = target.suffix.lower()
-    if suffix not in (*NEW, *MESHES):
+    own = suffix in MOVABLE and suffix == source.suffix.lower()
+    if suffix not in (*NEW, *MESHES) and not own:
         raise InputError(
             f"{target}: the suffix is {target.suffix!r}, expected {', '.join((*NEW, *MESHES))}, or "
-            ".json for cameras"
+            "for cameras .json, or --to"
         )
     check_output(target, overwrite)
     cloud = read_cloud(source, extended=False)
     faces = cloud.faces()
-    if suffix in MESHES:
-        if faces is None:
-            raise InputError(f"{source}: has no faces, expected a mesh for {suffix}")
+    if suffix in MESHES and not own and faces is None:
+        raise InputError(f"{source}: has no faces, expected a mesh for {suffix}")
+    if not own and suffix != ".ply":
+        warn_of_losses(cloud, suffix)
+    if faces is not None and suffix in MESHES and not own:
         from ..io.meshes import new_mesh
 
         if suffix in (".glb", ".stl"):

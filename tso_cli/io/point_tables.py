@@ -6,6 +6,7 @@ import csv
 import io
 import itertools
 import re
+import struct
 import warnings
 from array import array
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ AXES = ("x", "y", "z")
 # What a column of x is called: plainly, by scanners, and by ParaView.
 _NAMES = ("{0}", "point_{0}", "pos_{0}", "points:{1}", "points_{1}")
 _SEPARATORS = ("\t", ";", ",")  # of a .csv file without blanks between its values
+LONGEST_LINE = 1 << 20  # characters
+_COLMAP_POINT = struct.Struct("<3d")  # x, y and z
 _FIRST_LINES = 10  # of a .csv file, which say what separates its values
 _PCD_TYPES = {
     ("F", 4): "<f4", ("F", 8): "<f8", ("I", 1): "i1", ("I", 2): "<i2", ("I", 4): "<i4",
@@ -34,6 +37,7 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
     suffix = path.suffix.lower()
     if suffix == ".pcd":
         return _of_pcd(data, path, bytes_per_point)
+    _refuse_long_lines(data, path)
     if suffix == ".csv":
         require_memory(path, bytes_per_point * data.count(b"\n"))
         return _of_csv(data, path)
@@ -62,6 +66,61 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
             f"{path}: only the first three of its columns are used, as x y z", stacklevel=4
         )
     return points
+
+
+def read_colmap(data: bytes, path: Path, bytes_per_point: int) -> tuple[Array, Array]:
+    """The points [N, 3] of a COLMAP model and their colours [N, 3] in [0, 1].
+
+    A row has a number, x, y, z, red, green and blue, an error, and the track of the point.
+    """
+    if path.suffix.lower() == ".txt":
+        _refuse_long_lines(data, path)
+        require_memory(path, 800 * data.count(b"\n"))
+        table = TextTable(data, path)
+        table.drop_comments()
+        if (table.counts < 8).any():
+            row = int((table.counts < 8).argmax())
+            raise InputError(
+                f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, expected at "
+                "least 8: POINT3D_ID X Y Z R G B ERROR"
+            )
+        values = table.values(table.first[:, None] + np.arange(1, 7))
+        points, colours = values[:, :3], values[:, 3:]
+    else:
+        # A point has 43 bytes and 8 more for each picture of its track.
+        stated = struct.unpack_from("<Q", data)[0] if len(data) >= 8 else 1
+        require_memory(path, bytes_per_point * min(stated, len(data) // 43))
+        coordinates, bytes_of_colours, at = array("d"), bytearray(), 8
+        try:
+            for _ in range(stated):
+                coordinates.extend(_COLMAP_POINT.unpack_from(data, at + 8))
+                bytes_of_colours += data[at + 32 : at + 35]
+                at += 51 + 8 * struct.unpack_from("<Q", data, at + 43)[0]
+        except struct.error:
+            at = len(data) + 1
+        if at != len(data):
+            raise InputError(
+                f"{path}: ends early, or holds more than the {stated:,} points that it states, "
+                "expected a whole points3D.bin; write the model again"
+            )
+        points = np.array(coordinates).reshape(-1, 3)
+        colours = np.frombuffer(bytes(bytes_of_colours), np.uint8).reshape(-1, 3).astype(np.float64)
+    if not ((colours >= 0.0) & (colours <= 255.0)).all():
+        raise InputError(
+            f"{path}: its colours span {colours.min():g} to {colours.max():g}, expected 0 to 255"
+        )
+    return points, colours / 255.0
+
+
+def _refuse_long_lines(data: bytes, path: Path) -> None:
+    """Raise InputError at a line that is too long for a point: it would take gigabytes."""
+    for begin in range(0, len(data) - LONGEST_LINE + 1, LONGEST_LINE):
+        end = begin + LONGEST_LINE
+        if data.find(b"\n", begin, end) < 0 and data.find(b"\r", begin, end) < 0:
+            raise InputError(
+                f"{path}: a line has over {LONGEST_LINE:,} characters, expected a line for each "
+                "point"
+            )
 
 
 def _check_count(path: Path, found: int, stated: float, where: str) -> None:

@@ -60,6 +60,14 @@ def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = 
         raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
 
 
+def is_there(file: Path) -> bool:
+    """Whether a file that another file names exists; its name may be impossible."""
+    try:
+        return file.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def require_memory(path: Path, needed: int) -> None:
     """Raise InputError unless ``needed`` bytes of memory are free for what is in ``path``."""
     if needed > (free := free_memory()):

@@ -7,9 +7,10 @@ from pathlib import Path
 from ...errors import InputError
 from ...geometry.camera import Camera
 from ..images import has_alpha
+from ..reading import is_there
 from .formats import FORMATS, read_partial_cameras, words_of
 from .matching import paired
-from .record import CameraRecord, PartialCamera, is_there, of_pixels, same_shape
+from .record import CameraRecord, PartialCamera, of_pixels, same_shape
 from .write import camera_text, write_cameras
 
 # Files that are looked for next to a mask, after MASKSTEM.camera.json.

@@ -91,14 +91,6 @@ class PartialCamera:
             return Camera(self.intrinsics(width, height), self.R, self.t, width, height, self.model)
 
 
-def is_there(file: Path) -> bool:
-    """Whether a file that a camera file names exists; its name may be impossible."""
-    try:
-        return file.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
     """Whether two sizes (width, height) have the same proportions up to rounding."""
     (w, h), (width, height) = size, other
