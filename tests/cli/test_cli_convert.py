@@ -293,3 +293,9 @@ def test_mask_shows_what_would_be_used_and_writes_it(tso, tmp_path, folder):
     assert "turned    upright" not in text
     assert tso("mask", tmp_path / "turned.png", "--json").document["exif_orientation"] == 6
     assert "is the input" in tso("mask", "mask.png", "-o", "mask.png", "--overwrite").refusal
+
+
+@pytest.mark.parametrize(("value", "what"), [(0, "nothing"), (255, "everything")])
+def test_mask_says_that_nothing_or_everything_is_inside(tso, tmp_path, value, what):
+    Image.new("L", (20, 20), value).save(tmp_path / "a.png")
+    assert f"{what} is inside, which tso refine refuses" in tso("mask", tmp_path / "a.png").err

@@ -5,6 +5,7 @@ write them, for shapes of `examples/meshes`.
 """
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -383,3 +384,14 @@ def test_tensors_that_would_fill_the_memory_or_are_no_numbers_are_refused(tmp_pa
     torch.save({"R": [[1.0], [1.0, 2.0]], "T": torch.zeros(3)}, tmp_path / "ragged.pt")
     for name in ("huge.pt", "sparse.pt", "ragged.pt"):
         assert_refused(name, read_partial_cameras, tmp_path / name)
+
+
+def test_a_folder_of_a_data_set_stands_for_its_cameras(tmp_path):
+    assert len(read_partial_cameras(FILES / "nerf")[0]) == 4
+    assert len(read_partial_cameras(FILES / "colmap/sparse")[0]) == 4
+    for part in ("train", "val"):
+        shutil.copy(FILES / "nerf/transforms_train.json", tmp_path / f"transforms_{part}.json")
+    assert_refused(
+        "holds transforms_train.json and transforms_val.json, expected one",
+        read_partial_cameras, tmp_path,
+    )  # fmt: skip

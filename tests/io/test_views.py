@@ -1,6 +1,7 @@
 """Which camera each mask gets, from files of tso and of other programs, and what the run says."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_refused
+from tso_cli.io.cameras import find_camera
 from tso_cli.io.views import ViewFiles, load_views, summary_of
 
 FILES = Path(__file__).parent / "files"
@@ -161,3 +163,32 @@ def test_an_order_that_contradicts_the_names_of_the_pictures_is_refused(masks):
         load_views,
         ViewFiles(paths, FILES / "colmap"),
     )
+
+
+def test_the_camera_file_of_a_data_set_is_found_above_the_mask(tmp_path):
+    files = FILES
+    for scene, mask, name in (
+        ("nerfstudio", "images/frame_00002.png", "transforms.json"),
+        ("nerf", "train/r_1.png", "transforms_train.json"),
+        ("bop", "mask_visib/000002_000000.png", "scene_camera.json"),
+    ):
+        assert find_camera(files / scene / mask) == files / scene / name
+    other = tmp_path / "images/frame_00002.png"
+    other.parent.mkdir()
+    shutil.copy(files / "nerfstudio/transforms.json", tmp_path)
+    assert find_camera(other.with_name("mask.png")) is None
+    assert find_camera(other) == tmp_path / "transforms.json"
+    (tmp_path / "transforms.json").write_text("{")
+    assert find_camera(other) is None
+
+
+def test_the_output_says_that_a_mask_without_a_camera_is_turned(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    picture = np.zeros((40, 60), np.uint8)
+    picture[5:20, 5:20] = 255
+    Image.fromarray(picture).save(tmp_path / "a.png", exif=exif)
+    _, origins = load_views(ViewFiles([tmp_path / "a.png"]))
+    said = "a.png is turned upright by its EXIF orientation"
+    assert said in summary_of(origins)
+    assert said in str(origins[0])

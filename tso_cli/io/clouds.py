@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import io
+import math
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -139,7 +140,7 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
         elif suffix in ARRAYS:
             from .archives import arrays_of
 
-            cloud = _of_arrays(arrays_of(data, path), path)
+            cloud = _of_arrays(arrays_of(data, path, check=_memory_check(path)), path)
         else:
             from .point_tables import read_points
 
@@ -323,6 +324,16 @@ def _new_file(suffix: str, points: Array, dtype: str, like: PointCloud | None) -
         np.save(stream, values)
         return stream.getvalue()
     return "".join(f"{x} {y} {z}\n" for x, y, z in values.astype("S32").astype(str)).encode()
+
+
+def _memory_check(path: Path) -> Callable[[tuple[int, ...]], None]:
+    """Refuses points [..., N, 3] that would not fit into memory."""
+
+    def check(shape: tuple[int, ...]) -> None:
+        if shape[-1:] == (3,):
+            require_memory(path, BYTES_PER_POINT * math.prod(shape[:-1]))
+
+    return check
 
 
 # Names of the array of points in .npz and .pt files, and of the faces.

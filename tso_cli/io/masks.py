@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Bits, Floats
 from ..geometry.view import is_grey_inside
-from .archives import arrays_of
+from .archives import Check, arrays_of
 from .checked import kind
 from .images import FILE_LIMIT, WITH_ALPHA, check_size, decoded, grey_values, to_unit
 from .output import reason
@@ -84,8 +84,13 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
     if suffix == ".npy":
         return _of_array({"": read_array(data, path)}, path, choice)
     if suffix in (".npz", ".pt"):
-        return _of_array(arrays_of(data, path), path, choice)
+        return _of_array(arrays_of(data, path, check=_size_check(path)), path, choice)
     if suffix == ".json":
+        if choice.label is not None:
+            raise InputError(
+                f"{path}: holds segmentations, `label` {plain(choice.label)} chooses one of an "
+                "image of labels; choose one: `mask_index` N"
+            )
         return _of_coco(data, path, choice)
     _refuse_index(path, choice)
     convert = functools.partial(_values, label=choice.label)
@@ -109,10 +114,22 @@ def masks_in(path: Path) -> list[Path]:
     return files
 
 
+def _size_check(path: Path) -> Check:
+    """Refuses arrays whose two longest sides make no picture that may be read."""
+
+    def check(shape: tuple[int, ...]) -> None:
+        if len(shape) > 1:
+            height, width = sorted(shape)[-2:]
+            check_size(width, height, path)
+
+    return check
+
+
 def _refuse_index(path: Path, choice: MaskChoice) -> None:
     if choice.index is not None:
         raise InputError(
-            f"{path}: is one mask, `mask_index` {choice.index} chooses one of an array of masks"
+            f"{path}: is one mask, `mask_index` {choice.index} chooses one of an array; "
+            "choose one of several labels: `label` N"
         )
 
 
@@ -144,7 +161,13 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
         return _chosen(index, index != 0, path, label, lossy)
     if image.mode in ("1", "L", "F", "I") or image.mode.startswith("I;16"):
         grey = grey_values(image, path)
-        return grey if grey.dtype.kind in "bf" else _chosen(grey, grey, path, label, lossy)
+        if grey.dtype.kind in "bf":
+            return grey
+        chosen = _chosen(grey, grey, path, label, lossy)
+        if chosen is not grey or grey.dtype != np.uint8 or not _is_bright_around(grey):
+            return chosen
+        # A map of probabilities is dark around the object; a photo may have a white background.
+        return _of_photo(grey, (image, image, image), path)
     bands = image.convert("RGB").split()
     brightness = np.asarray(functools.reduce(ImageChops.lighter, bands))
     red, green, blue = (np.asarray(band) for band in bands)
@@ -170,9 +193,7 @@ def _of_photo(
     values = brightness.astype(np.float32) / np.float32(255.0)
     if not is_grey_inside(values, values > 0.5, np.ones(values.shape, bool)):
         return brightness
-    border = np.stack([
-        np.concatenate([b[0], b[-1], b[:, 0], b[:, -1]]) for b in map(np.asarray, bands)
-    ], 1).astype(np.int16)  # fmt: skip
+    border = np.stack([_border(np.asarray(band)) for band in bands], 1).astype(np.int16)
     colour = np.median(border, 0)
     plain_border = (np.abs(border - colour).max(1) <= PLAIN).mean() >= PLAIN_SHARE
     if not plain_border:
@@ -233,6 +254,18 @@ def _chosen(
     return otherwise
 
 
+def _border(values: NDArray[Any]) -> NDArray[Any]:
+    """The pixels along the border of [H, W]."""
+    return np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
+
+
+def _is_bright_around(grey: NDArray[np.uint8]) -> bool:
+    """Whether a picture has one bright grey along its border."""
+    border = _border(grey).astype(np.int16)
+    value = np.median(border)
+    return bool(value > 127 and (np.abs(border - value) <= PLAIN).mean() >= PLAIN_SHARE)
+
+
 def _next_to(pixels: Bits) -> Bits:
     """The pixels [H, W] that touch ``pixels``, as a soft edge does."""
     grown = np.zeros_like(pixels)
@@ -266,8 +299,9 @@ def _which(path: Path, found: dict[int, int], colours: bool, what: str) -> Input
         name = f"{code >> 16},{code >> 8 & 255},{code & 255}" if colours else str(code)
         names.append(f"{name} ({pixels:,} px)")
     more = ", ..." if len(found) > MOST_LISTED else ""
+    form = "R,G,B" if colours else "N"
     return InputError(
-        f"{path}: {what}, expected one of {', '.join(names) or 'none'}{more}: `label` N"
+        f"{path}: {what}, expected one of {', '.join(names) or 'none'}{more}: `label` {form}"
     )
 
 
@@ -296,13 +330,34 @@ def labels_of(codes: NDArray[Any], lossy: bool = False) -> dict[int, int]:
     same &= (middle == codes[1:-1, :-2]) & (middle == codes[1:-1, 2:])
     solid = {int(v): int(n) for v, n in zip(values, sizes, strict=True)
              if np.count_nonzero(same & (middle == v)) >= SOLID * n}  # fmt: skip
-    border = np.concatenate([codes[0], codes[-1], codes[:, 0], codes[:, -1]])
+    border = _border(codes)
     background = 0
     if 0 not in values:
         edge, many = np.unique(border, return_counts=True)
         background = int(edge[many.argmax()])
     solid.pop(background, None)
+    if lossy:
+        return _apart(solid, background)
     return solid
+
+
+def _apart(solid: dict[int, int], background: int) -> dict[int, int]:
+    """The labels of a file with losses: of values close to each other the one of most pixels.
+
+    A photo has many shades, and no label.
+    """
+    labels: dict[int, int] = {}
+    group: list[int] = []
+    for value in [*sorted({*solid, background}), 2 << 24]:  # more than any colour
+        if group and value - group[-1] > LOSSES:
+            if group[-1] - group[0] > 2 * LOSSES:
+                return {}
+            if background not in group:
+                most = max(group, key=lambda one: solid[one])
+                labels[most] = sum(solid[one] for one in group)
+            group = []
+        group.append(value)
+    return labels
 
 
 def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:

@@ -11,6 +11,7 @@ import warnings
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,9 +63,7 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
         _check_count(path, len(table.first), stated, "its first line")
     points = table.values(table.first[:, None] + np.arange(3))
     if table.counts.max(initial=3) > 3 and suffix != ".pts":
-        warnings.warn(
-            f"{path}: only the first three of its columns are used, as x y z", stacklevel=4
-        )
+        warn_of_columns(path)
     return points
 
 
@@ -123,6 +122,18 @@ def _refuse_long_lines(data: bytes, path: Path) -> None:
             )
 
 
+def warn_of_columns(path: Path) -> None:
+    warnings.warn(f"{path}: only the first three of its columns are used, as x y z", stacklevel=5)
+
+
+class _Header(NamedTuple):
+    """columns : of x, y and z. first : the first row, if it has numbers. most : cells of a row."""
+
+    columns: tuple[int, int, int]
+    first: list[list[str]]
+    most: int
+
+
 def _check_count(path: Path, found: int, stated: float, where: str) -> None:
     """Raise InputError unless a file has as many points as it states."""
     if found != stated:
@@ -144,11 +155,16 @@ def _of_csv(data: bytes, path: Path) -> Array:
     number = float if data.isascii() and b"_" not in data else _number
     values = array("d")
     try:
-        columns, first = _header(rows, path)
+        columns, first, named = _header(rows, path)
         begin, middle, end = columns
         for row in itertools.chain(first, rows):
             if not row or row[0].startswith("#"):
                 continue
+            if len(row) > named and any(row[named:]):
+                raise InputError(
+                    f"{path}: line {rows.line_num} has {len(row)} values, its header {named}, "
+                    "expected as many; if commas are decimal, separate values with semicolons"
+                )
             try:
                 values.extend((number(row[begin]), number(row[middle]), number(row[end])))
             except (ValueError, IndexError):
@@ -171,15 +187,15 @@ def _separator(data: bytes) -> str:
     return next((s for s in _SEPARATORS if all(s.encode() in line for line in lines)), " ")
 
 
-def _header(rows: Iterator[list[str]], path: Path) -> tuple[tuple[int, int, int], list[list[str]]]:
-    """The columns of x, y and z, and the first row if that has numbers."""
+def _header(rows: Iterator[list[str]], path: Path) -> _Header:
+    """The columns of a .csv file, by the names in its header or else the first three."""
     for row in rows:
         names = [cell.strip(" \"'/#").lower() for cell in row]
         for form in _NAMES:
             wanted = [form.format(axis, place) for place, axis in enumerate(AXES)]
             if all(names.count(name) == 1 for name in wanted):
                 x, y, z = map(names.index, wanted)
-                return (x, y, z), []
+                return _Header((x, y, z), [], len(row))
         if not any(row) or row[0].startswith("#"):
             continue
         if re.search(r"[a-df-z]", " ".join(names[:3])):
@@ -187,8 +203,10 @@ def _header(rows: Iterator[list[str]], path: Path) -> tuple[tuple[int, int, int]
                 f"{path}: its columns are {plain(', '.join(names))}, expected x, y and z; name "
                 "these columns so"
             )
-        return (0, 1, 2), [row]
-    return (0, 1, 2), []
+        if len(row) > 3 and any(row[3:]):
+            warn_of_columns(path)
+        return _Header((0, 1, 2), [row], LONGEST_LINE)
+    return _Header((0, 1, 2), [], LONGEST_LINE)
 
 
 def _number(cell: str) -> float:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import warnings
+from functools import lru_cache
 from pathlib import Path
 
 from ...errors import InputError
@@ -15,19 +18,57 @@ from .write import camera_text, write_cameras
 
 # Files that are looked for next to a mask, after MASKSTEM.camera.json.
 USUAL_NAMES = ("camera.json", "cameras.json", "transforms.json")
+# Files that are looked for one folder above the mask, where data sets have them.
+NAMES_ABOVE = (
+    "transforms.json", "transforms_train.json", "transforms_val.json", "transforms_test.json",
+    "scene_camera.json", "cameras.json",
+)  # fmt: skip
 
 
 def find_camera(mask_path: Path) -> Path | None:
     """The camera file in the folder of a mask, or None.
 
     That is the first of ``MASKSTEM.camera.json``, ``camera.json``, ``cameras.json`` (as
-    `tso render` names it) and ``transforms.json`` that exists.
+    `tso render` names it) and ``transforms.json`` that exists; or else the first of `NAMES_ABOVE`,
+    one folder above, of which a view names the mask.
     """
     for name in (f"{mask_path.stem}.camera.json", *USUAL_NAMES):
         path = mask_path.with_name(name)
         if path.is_file():
             return path
+    folder = mask_path.parent
+    plain = folder.name not in ("", "..") and not folder.is_symlink()
+    above = folder.parent if plain else folder / ".."
+    for name in NAMES_ABOVE:
+        path = above / name
+        if is_there(path) and _names(path, mask_path):
+            return path
     return None
+
+
+def _names(path: Path, mask: Path) -> bool:
+    """Whether a view of the camera file ``path`` names the file ``mask``."""
+    try:
+        files = _files_named(path, path.stat().st_mtime_ns)
+    except (InputError, OSError):  # a file that nobody named may be anything
+        return False
+    return os.path.realpath(mask) in files or f"{path.name}/{mask.stem}" in files
+
+
+@lru_cache(maxsize=8)
+def _files_named(path: Path, changed: int) -> frozenset[str]:
+    """The masks and pictures that the views of a file name, as it was when it was ``changed``."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        views, name = read_partial_cameras(path)
+    found = set()
+    for view in views:
+        for file in filter(None, (view.mask, view.image)):
+            found.add(os.path.realpath(file))
+            found.add(os.path.realpath(file.with_name(f"{file.name}.png")))  # as NeRF names them
+        if name == "bop":
+            found.add(f"{path.name}/{view.names[0]}")
+    return frozenset(found)
 
 
 def read_cameras(path: str | Path) -> list[CameraRecord]:
