@@ -462,7 +462,7 @@ def test_tables_with_other_separators_names_and_columns_are_read(save, text):
         ("x,y,z\n1,2,3\n4,5\n", "line 3 has 2 columns, expected at least 3"),
         ("a,b,c\n1,2,3\n", "its columns are a, b, c, expected x, y and z"),
         ('x,y,z\n1,2,3\n4,5,6,"a\n', "line 3 is no row of a .csv file"),
-        ("x;y;z\n1.000,5;2;3\n", "line 2 has '1.000.5' as x, expected a number"),
+        ("x;y;z\n1.000,5;2;3\n", "line 2 has '1.000.5' as x .commas are decimal"),
     ],
 )
 def test_a_wrong_row_of_a_csv_is_refused_with_its_line(save, text, says):

@@ -51,7 +51,7 @@ def test_other_names_take_the_views_in_their_order_and_the_run_says_so(masks):
     assert [origin.view for origin in origins] == ["000.png", "001.png", "002.png", "003.png"]
     assert summary_of(origins).endswith("(a COLMAP model; views in the order of the masks)")
     assert_refused(
-        r"holds 4 views \(000\.png, .*\), found 2 masks; expected as many, or masks named like",
+        r"none of its 4 views \(000\.png, .*\) names the mask .*a\.png, expected one",
         load_views,
         ViewFiles(paths[:2], FILES / "colmap"),
     )
@@ -159,7 +159,7 @@ def test_a_turned_mask_with_a_camera_file_is_taken_as_it_is_stored(tmp_path, tur
 def test_an_order_that_contradicts_the_names_of_the_pictures_is_refused(masks):
     paths = masks("002.png", "001.png", "00l.png", "003.png")
     assert_refused(
-        r"the mask .*002\.png is named by views\[2\] and given at place 0, expected the same order",
+        r"the mask .*002\.png is named like view 3 of 4 and is mask 1, expected the order",
         load_views,
         ViewFiles(paths, FILES / "colmap"),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import pickle
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -80,8 +81,8 @@ def _tensors(data: bytes, path: Path) -> dict[str, Any]:
         loaded = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # torch fails in many ways on damaged files
         raise InputError(
-            f"{path}: holds more than tensors, or is damaged ({reason(error)}); expected a "
-            "dictionary of tensors"
+            f"{path}: holds more than tensors, or is damaged{_why(error)}; expected a "
+            "dictionary of tensors: torch.save({'points': tensor}, FILE)"
         ) from None
     if not isinstance(loaded, dict):
         loaded = {"": loaded}
@@ -93,6 +94,11 @@ def _tensors(data: bytes, path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path}: holds a value that is no array of numbers ({reason(error)}), expected tensors"
         ) from None
+
+
+def _why(error: Exception) -> str:
+    """The reason of an error; that of an unpickler is advice on code that tso does not run."""
+    return "" if isinstance(error, pickle.UnpicklingError) else f" ({reason(error)})"
 
 
 def _is_data(value: Any) -> bool:

@@ -36,6 +36,11 @@ ADVICE = {
     **dict.fromkeys((".fbx", ".blend", ".usd", ".usdz", ".dae", ".3ds"), "export it as .glb"),
     ".pcl": "convert it to .pcd or .ply", ".drc": "decode it to .ply: draco_decoder",
 }  # fmt: skip
+# What files of a kind begin with -> their suffixes.
+_MAGIC = {
+    b"ply\n": (".ply",), b"ply\r": (".ply",), b"glTF": (".glb", ".gltf"),
+    b"\x93NUMPY": (".npy",), b"PK\x03\x04": (".npz", ".pt"),
+}  # fmt: skip
 # Written without a file to move: points alone, or with faces where there are some.
 NEW = (".ply", ".npy", ".xyz")
 POINTS_ONLY = (".npy", ".xyz")
@@ -112,6 +117,11 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
                 f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
             )
     data = read_bytes(model or path, "a point cloud")
+    for start, own in _MAGIC.items():
+        if model is None and data.startswith(start) and suffix in SUFFIXES and suffix not in own:
+            raise InputError(
+                f"{path}: holds a {own[0]} file, by its content, expected {suffix}; rename it"
+            )
     try:
         if model is not None:
             from .point_tables import read_colmap
@@ -299,8 +309,8 @@ def check_suffix(path: Path, own: str = "") -> None:
     allowed = list(dict.fromkeys([*([own] if own else []), *NEW]))
     if path.suffix.lower() not in allowed:
         raise InputError(
-            f"{path}: the suffix is {path.suffix!a}, expected {' or '.join(allowed)} for a point "
-            "cloud to write"
+            f"{path}: the suffix is {path.suffix!a}, expected {' or '.join(allowed)} for the "
+            "points or mesh to write; for others, convert one of these: tso convert"
         )
 
 

@@ -19,7 +19,7 @@ from .archives import Check, arrays_of
 from .checked import kind
 from .images import FILE_LIMIT, WITH_ALPHA, check_size, decoded, grey_values, to_unit
 from .output import reason
-from .reading import plain, read_array, read_bytes
+from .reading import json_reason, plain, read_array, read_bytes
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -37,6 +37,13 @@ MOST_LISTED = 9
 SUFFIXES = (
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".ppm", ".pgm", ".npy",
     ".npz", ".pt",
+)  # fmt: skip
+# Keys of other files of JSON, and what these are.
+_NO_MASKS = (
+    ({"K"}, "a camera file"), ({"views"}, "a camera file"), ({"frames"}, "a camera file"),
+    ({"shapes", "imagePath"}, "an annotation of LabelMe; export it as COCO (labelme2coco)"),
+    ({"_via_img_metadata"}, "a project of VIA; export its annotations as COCO"),
+    ({"filename", "regions"}, "an annotation of VIA; export it as COCO"),
 )  # fmt: skip
 # How far beyond 0 and 1 interpolation may bring the values of a mask.
 UNDERSHOOT = 0.2
@@ -365,7 +372,10 @@ def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
     fitting = {name: np.asarray(array) for name, array in arrays.items() if np.ndim(array) >= 2}
     named = [name for name in MASK_NAMES if name in fitting]
     if len(fitting) != 1 and not named:
-        shapes = ", ".join(f"{plain(name)} {list(np.shape(a))}" for name, a in arrays.items())
+        shapes = ", ".join(
+            f"{plain(name) if name else 'an array'} {list(np.shape(a))}"
+            for name, a in arrays.items()
+        )
         raise InputError(
             f"{path}: holds {shapes or 'no array'}, expected one mask [H, W], or one called "
             f"{' or '.join(MASK_NAMES[:2])}"
@@ -455,7 +465,13 @@ def _of_coco(data: bytes, path: Path, choice: MaskChoice) -> Floats:
     try:
         document = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON ({reason(error)}), expected a mask") from None
+        raise InputError(f"{path}: is not JSON ({json_reason(error)}), expected a mask") from None
+    for keys, what in _NO_MASKS:
+        first = document[0] if isinstance(document, list) and document else document
+        if isinstance(first, dict) and first.keys() >= keys:
+            raise InputError(
+                f"{path}: is {what}, expected a mask: a picture, or a segmentation of COCO"
+            )
     pictures: list[dict[str, Any]] = []
     if isinstance(document, dict) and isinstance(document.get("annotations"), list):
         images = document.get("images")

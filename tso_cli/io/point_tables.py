@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import itertools
@@ -36,6 +37,8 @@ _PCD_TYPES = {
 def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
     """The points [N, 3] of a table; InputError if it is damaged or has no x, y and z."""
     suffix = path.suffix.lower()
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(f"{path}: is UTF-16 text, expected UTF-8; save it as CSV UTF-8")
     if suffix == ".pcd":
         return _of_pcd(data, path, bytes_per_point)
     _refuse_long_lines(data, path)
@@ -57,7 +60,7 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
         row = int(short.argmax())
         raise InputError(
             f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, "
-            "expected at least 3, separated by blanks"
+            "expected at least 3, separated by blanks" + _of_commas(table, row)
         )
     if stated >= 0:
         _check_count(path, len(table.first), stated, "its first line")
@@ -120,6 +123,13 @@ def _refuse_long_lines(data: bytes, path: Path) -> None:
                 f"{path}: a line has over {LONGEST_LINE:,} characters, expected a line for each "
                 "point"
             )
+
+
+def _of_commas(table: TextTable, row: int) -> str:
+    """The advice for a line whose values are separated by commas."""
+    start = table.starts[table.first[row]]
+    line = table.data[start : start + 200].splitlines()[0]
+    return "; rename it to .csv, for commas" if line.count(b",") > 1 else ""
 
 
 def warn_of_columns(path: Path) -> None:
@@ -225,6 +235,8 @@ def _wrong_row(path: Path, line: int, row: list[str], columns: tuple[int, ...]) 
         except ValueError:
             cell = row[place].strip()
             found = f"{shown(cell) if cell else 'an empty cell'} as {axis}"
+            if cell.count(".") > 1:
+                found += " (commas are decimal, so it has several points)"
             break
     return InputError(
         f"{path}: line {line} has {found}, expected a number such as 0.5 or 1e-3; "

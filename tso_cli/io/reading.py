@@ -104,10 +104,15 @@ def read_json(
     """
     try:
         return json.loads(read_bytes(path, expected, limit), object_pairs_hook=build)
-    except RecursionError:
-        raise InputError(f"{path}: is not JSON (nested too deep), expected {form}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: is not JSON ({reason(error)}), expected {form}") from None
+    except (RecursionError, ValueError) as error:
+        raise InputError(f"{path}: is not JSON ({json_reason(error)}), expected {form}") from None
+
+
+def json_reason(error: BaseException) -> str:
+    """Why a text is no JSON, as `reason`; of very long numbers Python gives advice on Python."""
+    if isinstance(error, RecursionError):
+        return "nested too deep"
+    return "a number has thousands of digits" if "set_int_max" in str(error) else reason(error)
 
 
 def shown(value: object) -> str:

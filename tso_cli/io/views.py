@@ -195,7 +195,10 @@ def with_intrinsics(
     view = views[0] if len(views) == 1 else paired(file, views, [mask])[0][0]
     if view.intrinsics is None:
         raise InputError(f"{file}: has no focal length, expected K for `intrinsics`")
-    return replace(camera, intrinsics=view.intrinsics, size=view.size, distortion=view.distortion)
+    return replace(
+        camera, intrinsics=view.intrinsics, size=view.size, distortion=view.distortion,
+        sized_by=file,
+    )  # fmt: skip
 
 
 def _read_view(

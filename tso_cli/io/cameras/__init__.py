@@ -61,11 +61,10 @@ def _files_named(path: Path, changed: int) -> frozenset[str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         views, name = read_partial_cameras(path)
-    found = set()
+    found: set[str] = set()
     for view in views:
         for file in filter(None, (view.mask, view.image)):
-            found.add(os.path.realpath(file))
-            found.add(os.path.realpath(file.with_name(f"{file.name}.png")))  # as NeRF names them
+            found.update(map(os.path.realpath, _files_of(file)))
         if name == "bop":
             found.add(f"{path.name}/{view.names[0]}")
     return frozenset(found)
@@ -116,6 +115,12 @@ def named_masks(
     masks = []
     for number, view in enumerate(views):
         mask = view.mask or _with_alpha(view.image)
+        image = view.image
+        if mask is None and image is not None and not any(map(is_there, _files_of(image))):
+            raise InputError(
+                f"{path}: views[{number}] of {len(views)} names {image}, which does not exist, "
+                "expected a picture with an alpha channel; or give MASK arguments"
+            )
         if mask is None:
             raise InputError(
                 f"{path}: views[{number}] of {len(views)} names no mask, expected a mask or a "
@@ -127,5 +132,10 @@ def named_masks(
 
 def _with_alpha(image: Path | None) -> Path | None:
     """The file of a picture with an alpha channel; NeRF's files name pictures without ".png"."""
-    files = [] if image is None else [image, image.with_name(f"{image.name}.png")]
+    files = [] if image is None else _files_of(image)
     return next((file for file in files if has_alpha(file)), None)
+
+
+def _files_of(image: Path) -> list[Path]:
+    """What the file of a picture may be called."""
+    return [image, image.with_name(f"{image.name}.png")]
