@@ -17,6 +17,7 @@ from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_image
 
 FILES = ROOT / "tests/io/files"
+FILE_OF_K = FILES / "cameras/camera_info.yaml"
 CHAIR = next((ROOT / "examples/meshes/chair").glob("*.ply"))
 
 
@@ -25,10 +26,10 @@ def cameras_of(path, size=(256, 256)):
     return [view.camera(Path(path), *(view.size or size)) for view in views]
 
 
-def assert_same_cameras(found, expected):
+def assert_same_cameras(found, expected, error=1e-9):
     for one, other in zip(found, expected, strict=True):
         for name in ("K", "R", "t"):
-            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=error)
 
 
 @pytest.mark.parametrize("format", ["tso", "colmap", "transforms"])
@@ -299,3 +300,22 @@ def test_mask_shows_what_would_be_used_and_writes_it(tso, tmp_path, folder):
 def test_mask_says_that_nothing_or_everything_is_inside(tso, tmp_path, value, what):
     Image.new("L", (20, 20), value).save(tmp_path / "a.png")
     assert f"{what} is inside, which tso refine refuses" in tso("mask", tmp_path / "a.png").err
+
+
+def test_poses_take_k_from_another_file(tso, tmp_path):
+    target = tmp_path / "c.json"
+    poses = ("convert", FILES / "cameras/open3d_trajectory.log", target)
+    assert "or poses and --intrinsics FILE with K" in tso(*poses, "--size", "256x256").refusal
+    assert tso(*poses, "--intrinsics", FILE_OF_K).code == 0
+    known = cameras_of(FILES / "cameras/open3d_trajectory.json")
+    assert_same_cameras(cameras_of(target), known, error=1e-6)
+
+
+def test_what_another_format_cannot_hold_names_the_camera_file(tso, tmp_path):
+    view = json.loads((FILES / "cameras/own.json").read_text())
+    refusal = tso("convert", FILES / "cameras/own.json", tmp_path / "c.json", "--size", "9x5")
+    assert "own.json: is for a picture of 256x256, found --size 9x5" in refusal.refusal
+    view["K"][0][1] = 3.5
+    (tmp_path / "s.json").write_text(json.dumps(view))
+    refusal = tso("convert", tmp_path / "s.json", tmp_path / "m", "--to", "colmap").refusal
+    assert "s.json: view_0.png: K has a skew of 3.5" in refusal

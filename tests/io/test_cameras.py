@@ -311,3 +311,11 @@ def test_pictures_with_alpha_are_the_masks_of_a_file_that_names_none():
     nerf = Path(__file__).parent / "files/nerf"
     found = named_masks(nerf / "transforms_train.json")
     assert found == [nerf / "train" / f"r_{number}.png" for number in range(4)]
+
+
+def test_a_picture_that_does_not_exist_is_named(tmp_path):
+    view = json.loads((Path(__file__).with_name("files") / "cameras/own.json").read_text()) | {
+        "image": "none.png"
+    }
+    (tmp_path / "c.json").write_text(json.dumps(view))
+    assert_refused(r"names .*none\.png, which does not exist", named_masks, tmp_path / "c.json")

@@ -326,3 +326,15 @@ def test_the_shades_of_a_lossy_photo_are_no_labels():
 def test_a_label_of_a_list_of_segmentations_is_refused():
     path = FILES / "sam_auto.json"
     assert_refused("choose one: `mask_index` N", read_mask, path, MaskChoice(label="1"))
+
+
+@pytest.mark.parametrize(
+    ("document", "says"),
+    [
+        ({"K": [], "R": []}, "is a camera file, expected a mask"),
+        ({"shapes": [], "imagePath": "a.png"}, "is an annotation of LabelMe"),
+    ],
+)
+def test_other_files_of_json_than_segmentations_are_named(tmp_path, document, says):
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    assert_refused(says, read_mask, tmp_path / "a.json")

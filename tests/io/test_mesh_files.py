@@ -630,3 +630,17 @@ def test_a_file_of_torch_before_1_6_is_read(tmp_path):
     points = torch.rand(20, 3)
     torch.save(points, tmp_path / "a.pt", _use_new_zipfile_serialization=False)
     np.testing.assert_array_equal(read_cloud(tmp_path / "a.pt").points, points.double().numpy())
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.glb", CHAIR.read_bytes(), "holds a .ply file, by its content, expected .glb"),
+        ("a.glb", b"glTF", r"is a damaged GLB or glTF \(it ends early\)"),
+        ("a.csv", "x,y,z\n".encode("utf-16"), "is UTF-16 text, expected UTF-8"),
+        ("a.txt", "1,2,3\n", "has 1 column, .* separated by blanks; rename it to .csv"),
+        ("a.xyz", "1\n", "has 1 column, expected at least 3, separated by blanks$"),
+    ],
+)
+def test_a_file_of_another_kind_than_its_suffix_says_so(save, name, content, says):
+    assert_refused(says, read_cloud, save(name, content))

@@ -192,3 +192,52 @@ def test_the_output_says_that_a_mask_without_a_camera_is_turned(tmp_path):
     said = "a.png is turned upright by its EXIF orientation"
     assert said in summary_of(origins)
     assert said in str(origins[0])
+
+
+def test_a_mask_given_twice_is_named(tmp_path):
+    mask = FILES / "colmap/masks/000.png.png"
+    assert_refused(
+        r"000\.png\.png: is given twice", load_views, ViewFiles([mask, mask], FILES / "colmap")
+    )
+    shutil.copy(mask, tmp_path / "000.png")
+    assert_refused(
+        r"the masks .* are both named like the view 000\.png",
+        load_views,
+        ViewFiles([mask, tmp_path / "000.png"], FILES / "colmap"),
+    )
+
+
+def test_views_without_pictures_take_masks_in_their_order_alone(tmp_path):
+    document = json.loads((FILES / "cameras/open3d_trajectory.json").read_text())
+    document["parameters"] *= 3
+    (tmp_path / "t.json").write_text(json.dumps(document))
+    assert_refused(
+        "which name no pictures, found 1 mask; expected as many; give a mask for each view",
+        load_views,
+        ViewFiles([FILES / "cameras/mask.png"], tmp_path / "t.json"),
+    )
+
+
+def test_an_ambiguous_name_of_a_data_set_says_a_name_that_is_not(tmp_path):
+    shutil.copy(FILES / "bop/scene_camera.json", tmp_path)
+    poses = json.loads((FILES / "bop/scene_gt.json").read_text())
+    twice = {picture: entries * 2 for picture, entries in poses.items()}
+    (tmp_path / "scene_gt.json").write_text(json.dumps(twice))
+    mask = tmp_path / "000002.png"
+    shutil.copy(FILES / "bop/mask_visib/000002_000000.png", mask)
+    message = r"000002_000000 and 000002_000001, .* name it like its view: 000002_000000\.png"
+    assert_refused(message, load_views, ViewFiles([mask], tmp_path))
+    message = r"name the mask like its view, such as 000000_000000\.png"
+    other = mask.rename(tmp_path / "m.png")
+    assert_refused(message, load_views, ViewFiles([other], tmp_path))
+
+
+def test_a_wrong_size_names_the_file_that_says_it(tmp_path):
+    text = (FILES / "cameras/camera_info.yaml").read_text()
+    (tmp_path / "k.yaml").write_text(text.replace("width: 256", "width: 512"))
+    files = ViewFiles(
+        [FILES / "cameras/mask.png"],
+        FILES / "cameras/open3d_trajectory.log",
+        intrinsics=tmp_path / "k.yaml",
+    )
+    assert_refused(r"k\.yaml: is for a picture of 512x256", load_views, files)

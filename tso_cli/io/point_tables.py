@@ -59,8 +59,9 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
     if short.any():
         row = int(short.argmax())
         raise InputError(
-            f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, "
-            "expected at least 3, separated by blanks" + _of_commas(table, row)
+            f"{path}: line {table.numbers[row]} has {table.counts[row]} "
+            f"column{'s' if table.counts[row] > 1 else ''}, expected at least 3, separated by blanks"
+            + _of_commas(table, row)
         )
     if stated >= 0:
         _check_count(path, len(table.first), stated, "its first line")

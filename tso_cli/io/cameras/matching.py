@@ -81,7 +81,7 @@ def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path])
         if not any(_same_stem(view, mask) for view in views):
             return InputError(
                 f"{path}: none of its {several} names the mask {mask}, expected one; name the mask "
-                "like the picture of its view"
+                f"like {_like(views[0])}"
             )
     for view in views:
         of_view = [str(mask) for mask in masks if _same_stem(view, mask)]
@@ -94,6 +94,13 @@ def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path])
         f"{path}: holds {several}, found {len(masks)} masks; expected as many, or masks named like "
         "the pictures of the views"
     )
+
+
+def _like(view: PartialCamera) -> str:
+    """What a mask may be named like."""
+    if view.mask or view.image:
+        return "the picture of its view"
+    return f"its view, such as {plain(view.names[0] if view.names else view.title)}.png"
 
 
 def _ambiguous(path: Path, mask: Path, alike: Sequence[PartialCamera]) -> InputError:
