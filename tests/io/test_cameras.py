@@ -314,8 +314,7 @@ def test_pictures_with_alpha_are_the_masks_of_a_file_that_names_none():
 
 
 def test_a_picture_that_does_not_exist_is_named(tmp_path):
-    view = json.loads((Path(__file__).with_name("files") / "cameras/own.json").read_text()) | {
-        "image": "none.png"
-    }
+    file = Path(__file__).with_name("files") / "cameras/own.json"
+    view = json.loads(file.read_text()) | {"image": "none.png"}
     (tmp_path / "c.json").write_text(json.dumps(view))
     assert_refused(r"names .*none\.png, which does not exist", named_masks, tmp_path / "c.json")

@@ -231,6 +231,11 @@ def test_a_folder_stands_for_its_masks_in_the_order_of_their_names(tmp_path):
         saved(tmp_path / name, (ONE * 255).astype(np.uint8))
     (tmp_path / "notes.txt").write_text("no mask")
     assert [path.name for path in masks_in(tmp_path)] == ["a.png", "b.png"]
+    numbered = tmp_path / "numbered"
+    numbered.mkdir()
+    for name in ("10.png", "2.png", "view_9.png", "view_10.png"):
+        (numbered / name).touch()
+    assert [path.stem for path in masks_in(numbered)] == ["2", "10", "view_9", "view_10"]
     assert masks_in(tmp_path / "a.png") == [tmp_path / "a.png"]
     (tmp_path / "empty").mkdir()
     assert_refused("holds no mask", masks_in, tmp_path / "empty")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,7 +106,9 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
 
 
 def masks_in(path: Path) -> list[Path]:
-    """The mask files of a folder in the order of their names; a file is its own list.
+    """The mask files of a folder in the order of their names, 2.png before 10.png.
+
+    A file is its own list.
 
     Raises InputError if a folder holds none.
     """
@@ -113,7 +116,7 @@ def masks_in(path: Path) -> list[Path]:
         return [path]
     files = [
         file
-        for file in sorted(path.iterdir())
+        for file in sorted(path.iterdir(), key=_by_numbers)
         if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file()
     ]
     if not files:
@@ -130,6 +133,12 @@ def _size_check(path: Path) -> Check:
             check_size(width, height, path)
 
     return check
+
+
+def _by_numbers(path: Path) -> tuple[list[tuple[str, int]], str]:
+    """Sorts names with their numbers as numbers."""
+    parts = re.findall(r"([^0-9]*)([0-9]*)", path.name)
+    return [(text, int(digits[:1000] or -1)) for text, digits in parts], path.name
 
 
 def _refuse_index(path: Path, choice: MaskChoice) -> None:

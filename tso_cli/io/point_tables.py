@@ -58,10 +58,10 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
     short = table.counts < 3
     if short.any():
         row = int(short.argmax())
+        count = table.counts[row]
         raise InputError(
-            f"{path}: line {table.numbers[row]} has {table.counts[row]} "
-            f"column{'s' if table.counts[row] > 1 else ''}, expected at least 3, separated by blanks"
-            + _of_commas(table, row)
+            f"{path}: line {table.numbers[row]} has {count} column{'s' if count > 1 else ''}, "
+            f"expected at least 3, separated by blanks{_of_commas(table, row)}"
         )
     if stated >= 0:
         _check_count(path, len(table.first), stated, "its first line")

@@ -30,7 +30,7 @@ def find_camera(mask_path: Path) -> Path | None:
 
     That is the first of ``MASKSTEM.camera.json``, ``camera.json``, ``cameras.json`` (as
     `tso render` names it) and ``transforms.json`` that exists; or else the first of `NAMES_ABOVE`,
-    one folder above, of which a view names the mask.
+    one folder above, with a view that names the mask.
     """
     for name in (f"{mask_path.stem}.camera.json", *USUAL_NAMES):
         path = mask_path.with_name(name)

@@ -48,7 +48,7 @@ NOT_READ = (
     (rb"\x80[\x02-\x05]", "a pickle, which can run code; store K, R and t with numpy.savez"),
 )  # fmt: skip
 
-# The same of JSON files, by the keys of the document or of the first entry of its list.
+# And of JSON, by the keys of the document or of the first entry of its list.
 NOT_READ_JSON = (
     ({"cameras", "shots"}, "a reconstruction of OpenSfM; export it for COLMAP: opensfm "
      "export_colmap"),
