@@ -178,6 +178,13 @@ def test_the_camera_file_of_a_data_set_is_found_above_the_mask(tmp_path):
     shutil.copy(files / "nerfstudio/transforms.json", tmp_path)
     assert find_camera(other.with_name("mask.png")) is None
     assert find_camera(other) == tmp_path / "transforms.json"
+    poses = json.loads((files / "bop/scene_gt.json").read_text())
+    poses["0"].append(poses["0"][0] | {"obj_id": 5})
+    (tmp_path / "scene_gt.json").write_text(json.dumps(poses))
+    shutil.copy(files / "bop/scene_camera.json", tmp_path)
+    shutil.copytree(files / "bop/mask_visib", tmp_path / "mask_visib")
+    mask = tmp_path / "mask_visib/000002_000000.png"
+    assert_refused("holds the objects 1, 5, expected one", load_views, ViewFiles([mask]))
     (tmp_path / "transforms.json").write_text("{")
     assert find_camera(other) is None
 

@@ -11,9 +11,11 @@ from ...errors import InputError
 from ...geometry.camera import Camera
 from ..images import has_alpha
 from ..reading import is_there
+from . import of_bop
 from .formats import FORMATS, read_partial_cameras, words_of
 from .matching import paired
 from .record import CameraRecord, PartialCamera, of_pixels, same_shape
+from .source import CameraSource
 from .write import camera_text, write_cameras
 
 # Files that are looked for next to a mask, after MASKSTEM.camera.json.
@@ -52,21 +54,25 @@ def _names(path: Path, mask: Path) -> bool:
         files = _files_named(path, path.stat().st_mtime_ns)
     except (InputError, OSError):  # a file that nobody named may be anything
         return False
-    return os.path.realpath(mask) in files or f"{path.name}/{mask.stem}" in files
+    picture, _, entry = mask.stem.partition("_")
+    return os.path.realpath(mask) in files or (entry.isdecimal() and f"{path}/{picture}" in files)
 
 
 @lru_cache(maxsize=8)
 def _files_named(path: Path, changed: int) -> frozenset[str]:
     """The masks and pictures that the views of a file name, as it was when it was ``changed``."""
+    if path.name == of_bop.CAMERAS:
+        # Masks of BOP are called PICTURE_ENTRY; which object is meant is not known yet.
+        pictures = CameraSource(path).json
+        numbers = pictures if isinstance(pictures, dict) else ()
+        return frozenset(f"{path}/{number:0>6}" for number in numbers if number.isdecimal())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        views, name = read_partial_cameras(path)
+        views, _ = read_partial_cameras(path)
     found: set[str] = set()
     for view in views:
         for file in filter(None, (view.mask, view.image)):
             found.update(map(os.path.realpath, _files_of(file)))
-        if name == "bop":
-            found.add(f"{path.name}/{view.names[0]}")
     return frozenset(found)
 
 

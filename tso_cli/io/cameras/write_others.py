@@ -31,7 +31,7 @@ def _perspective(named: Sequence[Named]) -> None:
         if camera.K[0, 1] != 0.0:
             raise InputError(
                 f"{name}: K has a skew of {camera.K[0, 1]:g}, expected 0: the format has "
-                "no place for it; write tso's own: a .json without --to"
+                "no place for it; write tso's own format"
             )
 
 
