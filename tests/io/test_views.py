@@ -248,3 +248,16 @@ def test_a_wrong_size_names_the_file_that_says_it(tmp_path):
         intrinsics=tmp_path / "k.yaml",
     )
     assert_refused(r"k\.yaml: is for a picture of 512x256", load_views, files)
+
+
+def test_a_mask_of_another_object_says_which_mask_is_expected(tmp_path):
+    shutil.copy(FILES / "bop/scene_camera.json", tmp_path)
+    poses = json.loads((FILES / "bop/scene_gt.json").read_text())
+    both = {picture: [*one, one[0] | {"obj_id": 5}] for picture, one in poses.items()}
+    (tmp_path / "scene_gt.json").write_text(json.dumps(both))
+    mask = FILES / "bop/mask_visib/000002_000000.png"
+    assert_refused(
+        "is of another object of its picture, expected 000002_000001",
+        load_views,
+        ViewFiles([mask], tmp_path, object_id=5),
+    )

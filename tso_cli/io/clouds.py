@@ -318,12 +318,13 @@ def _new_file(suffix: str, points: Array, dtype: str, like: PointCloud | None) -
     if suffix == ".ply":
         if like is None:
             return new_ply(points, dtype)
-        source, colours = like.source, None
-        with suppress(InputError):  # colours that cannot be read are lost
+        source, colours, normals = like.source, None, None
+        with suppress(InputError):  # what cannot be read is lost
             colours = source.read_colours() if source else like.rgb
         still = source is not None and np.array_equal(points, like.points)
         # Normals of a surface that has moved are wrong.
-        normals = source.read_normals() if source and still else None
+        with suppress(InputError):
+            normals = source.read_normals() if source and still else None
         if source:
             found = {"colours": colours, "normals": normals}
             warn_of_losses(like, suffix, [key for key, one in found.items() if one is not None])

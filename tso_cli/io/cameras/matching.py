@@ -79,6 +79,12 @@ def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path])
         )
     for mask in masks:
         if not any(_same_stem(view, mask) for view in views):
+            picture = stem(mask.name).rpartition("_")[0]
+            if of_picture := [view for view in views if picture in view.names]:
+                return InputError(
+                    f"{path}: the mask {mask} is of another object of its picture, expected "
+                    f"{of_picture[0].names[0]}; choose the object of the mask: `object` ID"
+                )
             return InputError(
                 f"{path}: none of its {several} names the mask {mask}, expected one; name the mask "
                 f"like {_like(views[0])}"
