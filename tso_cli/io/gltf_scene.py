@@ -15,6 +15,7 @@ from ..geometry.arrays import Array
 from ..geometry.rotations import from_quaternion
 from .checked import Checked, kind
 from .output import reason
+from .reading import json_reason
 
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", b"JSON", b"BIN\0"
 MOST_NODES = 100_000
@@ -36,7 +37,8 @@ def scene_text(data: bytes, path: Path) -> tuple[str, bytes]:
             raise ValueError("its second part is not a whole BIN")
         return text, rest[8 : 8 + length]
     except (struct.error, ValueError) as error:
-        raise InputError(f"{path}: is a damaged GLB or glTF ({reason(error)})") from None
+        why = "it ends early" if isinstance(error, struct.error) else reason(error)
+        raise InputError(f"{path}: is a damaged GLB or glTF ({why})") from None
 
 
 def document_of(text: str, path: Path) -> dict[str, Any]:
@@ -44,7 +46,7 @@ def document_of(text: str, path: Path) -> dict[str, Any]:
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is a damaged GLB or glTF ({reason(error)})") from None
+        raise InputError(f"{path}: is a damaged GLB or glTF ({json_reason(error)})") from None
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds {kind(document)}, expected the object of a glTF scene")
     return document

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
-from .mesh_checks import check_off, check_stl
+from .mesh_checks import check_off, check_stl, parted
 from .obj import simplified
 from .output import reason, write_file
 from .ply import new_ply
@@ -157,6 +157,7 @@ def _load_parts(
                 content = simplified(content)
             elif kind in ("off", "stl"):
                 (check_off if kind == "off" else check_stl)(content, path)
+                content = parted(content) if kind == "off" else content
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )
