@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 import torch
 
-from tso_cli.kernels.dispatch import planned
+from tso_cli.kernels.dispatch import decided
 
 Loss = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
-NUMPY, COMPILED = 0, 1 << 60
+NUMPY, COMPILED = False, True
 MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])
 FORMS = pytest.mark.parametrize("form", [NUMPY, COMPILED], ids=["numpy", "compiled"])
 
 
-def in_form(form: int, function: Callable, *arguments):
+def in_form(form: bool, function: Callable, *arguments):
     """What a function returns where all loops run in one form."""
-    with planned(form, form):
+    with decided(form):
         return function(*arguments)
 
 

@@ -200,8 +200,8 @@ def _complete(view: PartialCamera, source: Path, size: tuple[int, int] | None) -
             )
     sides = size or view.size
     if sides is None:
+        view_of = f"{view.title} " if view.title else ""
         raise InputError(
-            f"{source}: {view.title or 'it'} does not say the size of its picture, expected --size "
-            "WIDTHxHEIGHT"
+            f"{source}: {view_of}does not say the size of its picture, expected --size WIDTHxHEIGHT"
         )
     return view.camera(source, *sides)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...diagnosis.confidence import LEAST_CONFIDENCE, MODEL
 from ...io.output import atomic_output
-from ...kernels.dispatch import planned
+from ...kernels.dispatch import decided
 from ...refinement import RefineConfig
 from .. import options
 from ..charts import draw_bars
@@ -42,7 +42,6 @@ DRAWS = 2
 LEARNED = {"floor under the object": (20.0, 50.0, 100.0)}
 """Levels that the fit sees for every case: drawn at random they are too rare to be learned."""
 WHOLE_STEP = Variant(RefineConfig(accept_doubtful=True))
-COMPILED_WORK = 1 << 60
 """So much work that compiled loops pay."""
 WORSE = 1.05
 # The model: tanh units of a network, networks that it is the mean of, and their training.
@@ -90,7 +89,7 @@ def _run(axis: Axis, level: float, case: Case, other: Case, rng: np.random.Gener
 
 def rows_of(runs: Iterable[Run]) -> list[Row]:
     """The rows of runs; a run whose result is no number is left out."""
-    with planned(COMPILED_WORK, COMPILED_WORK):
+    with decided(True):
         rows = map(row_of, outcomes_of(runs, WHOLE_STEP))
         return [row for row in rows if row is not None]
 
