@@ -107,22 +107,43 @@ def test_of_two_writers_of_one_name_one_succeeds(tmp_path, monkeypatch, links):
 
 
 def test_what_killed_runs_left_of_a_file_is_removed_except_what_a_living_one_writes(tmp_path):
-    names = (
-        ".out.0123456789ab.ply",
-        ".out.ba9876543210.ply",
-        ".other.0123456789ab.ply",
-        ".out.0123456789ab.png",
+    def name_of(output):
+        with atomic_output(tmp_path / output) as temporary:
+            return temporary.with_name(f"{temporary.stem[:-12]}0123456789ab{temporary.suffix}")
+
+    stale, *others = map(name_of, ("out.ply", "other.ply", "out.png", "out.b.ply"))
+    living, young = (
+        stale.with_name(stale.name.replace("0123456789ab", other))
+        for other in ("ba9876543210", "abcdefabcdef")
     )
-    stale, living, *others = (tmp_path / name for name in names)
     for path in (stale, living, *others):
         path.touch()
+        os.utime(path, (0.0, 0.0))
+    young.touch()
     held = lock(living)
     with atomic_output(tmp_path / "out.ply") as temporary:
         assert not stale.exists()
         assert temporary.exists()
         assert living.exists()
+        assert young.exists()
         assert all(path.exists() for path in others)
     os.close(held)
+
+
+WRITE = (
+    "import sys\nfrom pathlib import Path\nfrom tso_cli.io.output import write_file\n"
+    "path, data = Path(sys.argv[1]), sys.argv[2].encode() * 5000\n"
+    "for _ in range(400):\n"
+    "    write_file(path, data, overwrite=True)\n"
+    "    assert len(set(path.read_bytes())) == 1\n"
+)
+
+
+@pytest.mark.parametrize("name", ["same.bin", "a_long_name_that_several_outputs_begin_with_{}.bin"])
+def test_of_four_processes_that_write_at_once_no_write_fails(tmp_path, name):
+    writers = [started(tmp_path / name.format(k), k, program=WRITE) for k in range(4)]
+    assert [writer.communicate() for writer in writers] == [("", "")] * 4
+    assert sorted(tmp_path.iterdir()) == sorted({tmp_path / name.format(k) for k in range(4)})
 
 
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
@@ -502,7 +523,8 @@ def test_a_process_that_is_killed_leaves_nothing_that_the_next_does_not_remove(f
     killed = started("refine", *OUTPUTS, program=program)
     killed.communicate()
     assert killed.returncode == -signal.SIGKILL
-    assert len(written(folder)) == 1
+    (left,) = written(folder)
+    os.utime(left, (0.0, 0.0))  # a younger one may belong to a writer that is about to lock it
     again = started("refine", *OUTPUTS)
     again.communicate()
     assert again.returncode == 0
