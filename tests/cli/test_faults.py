@@ -434,6 +434,24 @@ def test_what_libtiff_says_of_a_damaged_picture_is_the_reason_of_its_refusal(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("part", ["networkx", "trimesh.exchange.gltf", "trimesh.path"])
+def test_a_signal_while_trimesh_is_imported_ends_the_command(tmp_path, name, part):
+    program = (
+        "import signal, sys\n"
+        "class Signalled:\n"
+        "    def find_spec(self, name, *_):\n"
+        f"        if name == {part!r}:\n"
+        f"            signal.raise_signal(signal.{name})\n"
+        "sys.meta_path.insert(0, Signalled())\n"
+        "from tso_cli.cli import main\nmain()"
+    )
+    mesh = next((ROOT / "examples" / "meshes").rglob("*.ply"))
+    run = started("eval", mesh, mesh, program=program)
+    assert run.communicate()[1].splitlines()[-1] == "tso: error: interrupted"
+    assert run.returncode == 130
+
+
 def test_ctrl_c_while_open3d_is_imported_is_ctrl_c(tso, tmp_path, monkeypatch, folder):
     class Interrupted:
         def find_spec(self, name, *_):

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
+from ..signals import waiting_signals
 from .mesh_checks import check_off, check_stl
 from .obj import simplified
 from .output import reason, write_file
@@ -143,14 +144,15 @@ def _load_parts(
     path: Path, content: bytes, pictures: Pictures
 ) -> tuple[list[tuple[Any, Array, Indices]], dict[str, Pixels | None]]:
     """Each part of the file with its vertices and faces, and the picture of each geometry."""
-    import trimesh
-
+    with waiting_signals():
+        import trimesh
     # trimesh logs its own errors with a traceback. The one line that is raised below replaces them.
     log = logging.getLogger("trimesh")
     before = log.level
     log.setLevel(logging.CRITICAL + 1)
     try:
-        with np.errstate(all="ignore"), warnings.catch_warnings():
+        # trimesh takes Ctrl-C in the middle of a file for a part that cannot be read.
+        with np.errstate(all="ignore"), warnings.catch_warnings(), waiting_signals():
             warnings.simplefilter("ignore")
             kind = path.suffix.lower()[1:]
             if kind == "obj":
@@ -201,7 +203,8 @@ def new_mesh(suffix: str, points: Array, faces: Indices) -> bytes:
     Text has the digits that give the same numbers again.
     """
     if suffix in (".stl", ".glb"):
-        import trimesh
+        with waiting_signals():
+            import trimesh
 
         mesh = trimesh.Trimesh(points, faces, process=False)
         data = mesh.export(file_type=suffix[1:])

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
+from ..signals import waiting_signals
 from .images import FORMATS, as_colours
 from .reading import shown
 
@@ -77,7 +78,8 @@ class Pictures:
             return None
 
     def _taken(self, geometry: Any) -> Pixels | None:
-        from trimesh.visual.material import SimpleMaterial
+        with waiting_signals():
+            from trimesh.visual.material import SimpleMaterial
 
         visual = geometry.visual
         material = visual.material

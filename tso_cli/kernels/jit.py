@@ -11,8 +11,6 @@ import hashlib
 import itertools
 import os
 import pickle
-import signal
-import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -24,6 +22,8 @@ import numpy as np
 from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numpy.typing import NDArray
+
+from ..signals import waiting_signals
 
 # What the loops take: float32 or float64, and bool.
 Array = NDArray[np.floating[Any]]
@@ -129,27 +129,6 @@ class _Cache(FunctionCache):
                 self.flush()
 
 
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Inside, signals wait.
-
-    A KeyboardInterrupt raised in a callback of LLVM would be printed and ignored.
-    """
-    waiting: list[int] = []
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-            if (number := getattr(signal, name, None)) and callable(signal.getsignal(number)):
-                before[number] = signal.signal(number, lambda number, frame: waiting.append(number))
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        if waiting:
-            signal.raise_signal(waiting[0])
-
-
 def kept_on_disk(function: Callable[..., Any], **changes: Any) -> Any:
     """``function``, compiled at its first call and kept on disk if a folder can be written.
 
@@ -157,7 +136,7 @@ def kept_on_disk(function: Callable[..., Any], **changes: Any) -> Any:
     rounds alike.
     """
     dispatcher = njit(**SETTINGS | changes)(function)
-    dispatcher.compile = _uninterrupted()(dispatcher.compile)
+    dispatcher.compile = waiting_signals()(dispatcher.compile)
     # RuntimeError: neither the package's folder nor the user's cache folder can be written. The
     # function is then compiled in every process.
     with contextlib.suppress(RuntimeError):

@@ -15,10 +15,10 @@ from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import trimesh
 from threadpoolctl import threadpool_limits
 
 from ...errors import TsoError
@@ -31,6 +31,7 @@ from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...scene.load import load_points_scene
+from ...signals import waiting_signals
 from ..study import Cases
 from ..views import views_around
 from .timing import (
@@ -171,9 +172,11 @@ def splat_file(count: int, seed: int) -> bytes:
     return "\n".join([*lines, "end_header", ""]).encode() + values.tobytes()
 
 
-def finer_mesh(faces: int) -> trimesh.Trimesh:
+def finer_mesh(faces: int) -> Any:
     """The shape that clouds are sampled from, its faces divided until there are enough."""
     start = read_mesh(START)
+    with waiting_signals():
+        import trimesh
     mesh = trimesh.Trimesh(start.vertices, start.faces, process=False)
     while len(mesh.faces) < faces:
         mesh = mesh.subdivide()
