@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -564,6 +565,77 @@ def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback()
         process.send_signal(signal.SIGINT)
         assert "Traceback" not in process.stderr.read()
         assert process.wait() in (-signal.SIGINT, 130)
+
+
+NOT_UTF_8 = os.fsdecode(b"name\xff")
+LOG = '{"supervision": "masks\\ud800"}\n{"step": 1, "loss": 2}\n{"step": 2, "loss": 1}\n'
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are text here")
+@pytest.mark.parametrize(
+    "line",
+    [
+        "refine {}.ply {}.png --camera camera.json --overlay o.png --report {}.html -o {}.out.ply",
+        "eval {}.ply initial.ply",
+        "curves {}.jsonl",
+        "mask {}.png",
+        "render {} -o rendered --views 1",
+    ],
+)
+def test_a_name_that_is_not_utf_8_does_not_end_the_work(folder, line):
+    for kind, suffix in (("initial", ".ply"), ("mask", ".png")):
+        shutil.copy(kind + suffix, NOT_UTF_8 + suffix)
+    Path(f"{NOT_UTF_8}.jsonl").write_text(LOG)
+    Path(NOT_UTF_8).mkdir()
+    mesh = examples_folder() / "meshes" / "chair" / "q17_Chair.ply"
+    shutil.copy(mesh, Path(NOT_UTF_8) / f"{NOT_UTF_8}.ply")
+    strict = {"PYTHONIOENCODING": "utf-8:strict"}
+    run = started(*line.replace("{}", NOT_UTF_8).split(), environment=strict)
+    out, err = run.communicate()
+    assert run.returncode == 0, err
+    assert "name\\udcff" in out + err
+
+
+ESCAPES = "\x1b]0;t\x07\x1b[31m\x9b1m"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "refine {}.ply {}.png --camera {}.json --steps 2 -v",
+        "refine {}.ply {}.png --camera {}.json --check",
+        "eval {}.ply initial.ply",
+        "eval {}.ply initial.ply --json",
+        "curves {}.jsonl",
+        "mask {}.png",
+    ],
+)
+def test_names_and_contents_of_files_do_not_control_a_terminal(folder, line):
+    pty = pytest.importorskip("pty")
+    for kind, suffix in (("initial", ".ply"), ("mask", ".png"), ("camera", ".json")):
+        shutil.copy(kind + suffix, ESCAPES + suffix)
+    Path(f"{ESCAPES}.jsonl").write_text(LOG.replace("\\ud800", json.dumps(ESCAPES)[1:-1]))
+    terminal, end = pty.openpty()
+    run = started(*(word.replace("{}", ESCAPES) for word in line.split()), stdout=end, stderr=end)
+    os.close(end)
+    printed = b""
+    with suppress(OSError):  # the end of a terminal
+        while part := os.read(terminal, 1 << 16):
+            printed += part
+    os.close(terminal)
+    assert run.wait() == 0
+    assert rb"\x1b]0;t\x07" in printed or rb"\u001b]0;t\u0007" in printed
+    assert re.findall(rb"[^\r\n\t -~]", printed) == []
+
+
+def test_a_progress_bar_redraws_its_line():
+    program = (
+        "from tso_cli import cli\ncli._open_streams()\n"
+        "print('\\r[##] \\x1b[31m\\x1b[K', end='')\nprint('\\u2713 \\u00e9')"
+    )
+    run = started(program=program, environment={"PYTHONIOENCODING": "utf-8"})
+    # A pipe of text has \n for \r.
+    assert run.communicate()[0] == "\n[##] \\x1b[31m\x1b[K\u2713 \u00e9\n"
 
 
 CHAIR = examples_folder() / "chair"

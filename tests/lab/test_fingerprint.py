@@ -142,7 +142,13 @@ def test_the_command_tells_records_of_the_method_from_others(tso, tmp_path, fixe
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [("{", "is not JSON"), ("[1]", "holds no JSON object")]
+    ("text", "message"),
+    [
+        ("{", "is not JSON"),
+        ("[1]", "holds no JSON object"),
+        ('{"cases": [{"category": Infinity}]}', "holds the number Infinity"),
+        ('{"cases": [{"category": "\\ud800"}]}', "holds half a letter"),
+    ],
 )
 def test_what_is_no_record_gets_one_line(tso, text, message, tmp_path):
     path = tmp_path / "record.json"
