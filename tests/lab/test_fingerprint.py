@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
@@ -78,6 +79,17 @@ def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops
     with planned(*([1 << 60] * 2 if compiled else [0, 0])):
         assert differences(record) == []
     today.cache_clear()
+
+
+@pytest.mark.parametrize("part", [part for part in PARTS if part != "pictures"])
+def test_a_part_that_ctrl_c_ends_has_no_fingerprint(part, monkeypatch):
+    kept = SimpleNamespace(stop_reason="interrupted")
+    monkeypatch.setattr(fingerprint, "refine", lambda *_, **__: SimpleNamespace(fit=kept))
+    monkeypatch.setattr(fingerprint, "train", lambda *_: kept)
+    today.cache_clear()
+    with pytest.raises(KeyboardInterrupt):
+        today(part)
+    assert today.cache_info().currsize == 0
 
 
 @pytest.mark.parametrize(

@@ -32,6 +32,7 @@ from ...io.shipped import examples_folder
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...scene.load import load_points_scene
 from ...signals import waiting_signals
+from ..interrupts import uninterrupted
 from ..study import Cases
 from ..views import views_around
 from .timing import (
@@ -198,7 +199,7 @@ def measure_object(
     contestants = [IMPORT_TORCH]
     for preset, points, views, form, threads, busy in ways:
         config = RefineConfig(preset=preset, steps=steps)
-        work = partial(refine, cloud(points, setting.seed), chair_views(views), config=config)
+        work = partial(_refine, cloud(points, setting.seed), chair_views(views), config)
         fields = {"points": points, "preset": preset, "views": views, "form": form}
         fields |= {"threads": threads, "busy": busy}
         plural, neighbour = "s" if threads > 1 else "", ", busy neighbour" if busy else ""
@@ -229,8 +230,13 @@ def measure_batch(
     return setting.race("batch", contestants, "over_import_torch")
 
 
+def _refine(points: Array, views: list[View], config: RefineConfig) -> None:
+    uninterrupted(refine(points, views, config=config))
+
+
 def _refine_all(scenes: list, config: RefineConfig) -> None:
     for result in refine_batch(scenes, config):
+        uninterrupted(result)
         if isinstance(result, TsoError):
             raise result
 
