@@ -29,8 +29,10 @@ from tso_cli.io.output import atomic_output, lock, sole_writer
 from tso_cli.io.ply_body import BinaryBody
 from tso_cli.io.reading import TextTable
 from tso_cli.io.shipped import examples_folder
+from tso_cli.kernels import dispatch
 from tso_cli.lab.study import Progress
 from tso_cli.optimisation.objective import SilhouetteObjective
+from tso_cli.refinement import api
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("out.ply", "out.png", "out.json")
@@ -213,6 +215,11 @@ DAMAGES = {
     "changed": lambda path: path.write_bytes(path.read_bytes().replace(b"\x48", b"\x49")),
     "a folder": lambda path: (path.unlink(), path.mkdir()),
 }
+COMPILING_FAILS = (
+    "from numba.core import compiler\n"
+    "def fail(*_, **__):\n    raise AssertionError('is compiled anew')\n"
+    "compiler.compile_extra = fail\n"
+)
 SQUARE = (
     "import sys, warnings\nimport numpy as np\n"
     "warnings.showwarning = lambda message, *_, **__: print(message)\n"
@@ -255,6 +262,56 @@ def test_damaged_machine_code_is_compiled_anew(cache, damage, suffix):
     assert first[0].endswith(before)
     assert first[1] == ""
     assert damage == "a folder" or second == (before, "")
+
+
+def test_loops_that_cannot_be_kept_are_an_error_of_tso_compile(tso, monkeypatch):
+    program = (
+        "from numba.core import caching\n"
+        "caching.FunctionCache._impl_class._locator_classes = []\n"
+        "from tso_cli.cli import main\nmain()"
+    )
+    run = started("compile", program=program)
+    assert run.communicate()[1].startswith("tso: error: the compiled loops cannot be kept: ")
+    assert run.returncode == 1
+    monkeypatch.setattr(dispatch, "kept", lambda: (Path("full"), 3, 13))
+    monkeypatch.setattr(api, "compile_loops", lambda: None)
+    run = tso("compile")
+    assert run.code == 1
+    assert run.err.startswith("tso: error: full: holds 3 of 13 compiled loops, expected all; ")
+
+
+REFINE_MUCH = (
+    "import numpy as np\nfrom tso_cli.refinement import RefineConfig, refine, refine_batch\n"
+    "mask = np.zeros((64, 64))\nmask[20:44, 20:44] = 1\n"
+    "points = np.random.default_rng(0).uniform(-0.3, 0.3, (16384, 3))\n"
+    "assert refine(points, mask, config=RefineConfig(steps=200)).fit.steps == 200\n"
+    "refine_batch([(points[:256], mask)] * 200, RefineConfig(steps=1))\n"
+)
+
+
+def test_with_numba_switched_off_numpy_does_the_work_in_silence():
+    off = {"NUMBA_DISABLE_JIT": "1"}
+    work, compiling = (
+        started(program=REFINE_MUCH, environment=off),
+        started("compile", environment=off),
+    )
+    assert work.communicate() == ("", "")
+    assert work.returncode == 0
+    assert compiling.communicate()[1].startswith("tso: error: numba is switched off ")
+    assert compiling.returncode == 1
+
+
+@pytest.mark.slow
+def test_four_processes_that_build_the_cache_at_once_keep_all_loops(tmp_path):
+    folder = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    building = [started("compile", environment=folder) for _ in range(4)]
+    for process in building:
+        said = process.communicate()[1]
+        assert re.fullmatch(rf"tso: 13 loops are compiled and kept in {tmp_path}/.* s\)\n", said)
+        assert process.returncode == 0
+    program = COMPILING_FAILS + "from tso_cli.cli import main; main()"
+    again = started("compile", program=program, environment=folder)
+    assert again.communicate()[1].startswith("tso: 13 loops are compiled and kept in ")
 
 
 @pytest.mark.parametrize(
