@@ -75,6 +75,8 @@ def refine(
         The loss of the start, or after the first step, is not a finite number.
     """
     views = as_views(masks, cameras)
+    if not isinstance(config, RefineConfig | None):
+        raise InputError(f"the config is of type {type(config).__name__}, expected a RefineConfig")
     settings = (config or RefineConfig()).settings(len(views))
     clock, parameters = Clock(), None
     with clock.phase("prepare"):
