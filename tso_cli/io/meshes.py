@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
 from ..signals import waiting_signals
-from .mesh_checks import check_off, check_stl
+from .mesh_checks import check_glb, check_off, check_ply, check_stl
 from .obj import simplified
 from .output import reason, write_file
 from .ply import new_ply
@@ -22,6 +22,7 @@ from .reading import read_bytes
 from .textures import Pictures, Texture
 
 GREY = (170, 170, 170)  # the colour of faces that have no colour
+CHECKS = {"ply": check_ply, "off": check_off, "stl": check_stl, "glb": check_glb}
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
@@ -157,8 +158,8 @@ def _load_parts(
             kind = path.suffix.lower()[1:]
             if kind == "obj":
                 content = simplified(content)
-            elif kind in ("off", "stl"):
-                (check_off if kind == "off" else check_stl)(content, path)
+            elif kind in CHECKS:
+                CHECKS[kind](content, path)
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )
