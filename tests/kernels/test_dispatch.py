@@ -15,10 +15,27 @@ from tso_cli.kernels.dispatch import importable, planned, use_compiled
 from tso_cli.kernels.tensors import use_numba
 
 
+@pytest.fixture(autouse=True)
+def new_process(monkeypatch):
+    """This process has not refined anything yet."""
+    monkeypatch.setattr(dispatch, "_earlier", [0.0])
+
+
+def test_a_process_that_goes_on_takes_the_loops_that_are_on_disk(monkeypatch):
+    """As in a notebook: each refinement alone is too small to load them."""
+    monkeypatch.setattr(dispatch, "on_disk", lambda: True)
+    used = []
+    for _ in range(12):
+        with planned(200, 0):
+            used.append(use_compiled())
+    assert not used[0]
+    assert used[-1]
+    assert used == sorted(used)
+
+
 @pytest.mark.parametrize("on_disk", [True, False])
 def test_small_work_is_left_to_numpy_and_large_work_compiled(monkeypatch, on_disk):
     monkeypatch.setattr(dispatch, "on_disk", lambda: on_disk)
-    monkeypatch.setattr(dispatch, "_earlier", [0.0])  # what other tests did
     assert not use_compiled()
     with planned(1, 1):
         assert not use_compiled()
