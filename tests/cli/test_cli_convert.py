@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from tso_cli.io.clouds import read_cloud
 from tso_cli.io.images import read_image
 
 FILES = ROOT / "tests/io/files"
+FILE_OF_K = FILES / "cameras/camera_info.yaml"
 CHAIR = next((ROOT / "examples/meshes/chair").glob("*.ply"))
 
 
@@ -24,10 +26,10 @@ def cameras_of(path, size=(256, 256)):
     return [view.camera(Path(path), *(view.size or size)) for view in views]
 
 
-def assert_same_cameras(found, expected):
+def assert_same_cameras(found, expected, error=1e-9):
     for one, other in zip(found, expected, strict=True):
         for name in ("K", "R", "t"):
-            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
+            np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=error)
 
 
 @pytest.mark.parametrize("format", ["tso", "colmap", "transforms"])
@@ -178,11 +180,86 @@ def test_a_coordinate_that_no_float_can_hold_is_refused(tso, tmp_path):
 
 def test_what_cannot_be_converted_is_refused(tso, tmp_path, folder):
     assert "has no faces" in tso("convert", "initial.ply", tmp_path / "a.glb").refusal
-    assert "or .json for cameras" in tso("convert", "initial.ply", tmp_path / "a.las").refusal
+    assert (
+        "or for cameras .json, or --to" in tso("convert", "initial.ply", tmp_path / "a.las").refusal
+    )
     assert (
         "is for cameras"
         in tso("convert", "initial.ply", tmp_path / "a.npy", "--size", "1x1").refusal
     )
+
+
+OBJECT = """mtllib paint.mtl
+usemtl red
+v 0 0 0 1 0 0
+v 1 0 0 0 1 0
+v 0 1 0 0 0 1
+vt 0 0
+f 1/1 2/1 3/1
+"""
+
+
+def test_a_file_of_the_same_suffix_is_the_same_file(tso, tmp_path):
+    (tmp_path / "a.obj").write_text(OBJECT)
+    assert tso("convert", tmp_path / "a.obj", tmp_path / "b.obj").err == ""
+    assert (tmp_path / "b.obj").read_text() == OBJECT
+
+
+def test_colours_and_normals_go_into_a_ply(tso, tmp_path):
+    normals = "vn 0 0 1\nf 1//1 2//1 3//1\n"
+    (tmp_path / "a.obj").write_text(OBJECT.partition("vt")[0].partition("red\n")[2] + normals)
+    assert tso("convert", tmp_path / "a.obj", tmp_path / "a.ply").err == ""
+    cloud = read_cloud(tmp_path / "a.ply")
+    assert cloud.colours().tolist() == np.eye(3).tolist()
+    assert cloud.source.read_normals().tolist() == [[0.0, 0.0, 1.0]] * 3
+
+
+@pytest.mark.parametrize(
+    ("suffix", "lost"),
+    [
+        (".ply", "materials and texture coordinates"),
+        (".glb", "materials, texture coordinates and colours"),
+        (".npy", "faces, materials, texture coordinates and colours"),
+    ],
+)
+def test_a_warning_names_what_another_format_loses(tso, tmp_path, suffix, lost):
+    (tmp_path / "a.obj").write_text(OBJECT)
+    run = tso("convert", tmp_path / "a.obj", tmp_path / f"b{suffix}")
+    assert f"its {lost} do not go into {suffix}; write .obj to keep them" in run.err
+
+
+def test_a_warning_names_the_file_that_must_lie_next_to_the_result(tso, tmp_path):
+    (tmp_path / "a.obj").write_text(OBJECT)
+    (tmp_path / "paint.mtl").write_text("newmtl red\n")
+    (tmp_path / "out").mkdir()
+    target = tmp_path / "out/a.obj"
+    instead = f"copy it there, or write {tmp_path / 'a.obj'} instead"
+    assert (
+        f"names paint.mtl, which is not in {target.parent}; {instead}"
+        in tso("convert", tmp_path / "a.obj", target).err
+    )
+    assert tso("convert", tmp_path / "a.obj", tmp_path / "b.obj").err == ""
+
+
+def test_the_points_of_colmap_are_a_cloud_with_colours(tso, tmp_path):
+    (tmp_path / "points3D.txt").write_text("# no\n7 0.5 1 2 255 0 51 0.1 1 2\n8 1 1 2 0 0 0 0.1\n")
+    rows = [(7, 0.5, 1.0, 2.0, 255, 0, 51, 0.1, 1, 1, 2), (8, 1.0, 1.0, 2.0, 0, 0, 0, 0.1, 0)]
+    data = struct.pack("<Q", 2) + struct.pack("<Q3d3BdQii", *rows[0])
+    data += struct.pack("<Q3d3BdQ", *rows[1])
+    (tmp_path / "sparse/0").mkdir(parents=True)
+    (tmp_path / "sparse/0/points3D.bin").write_bytes(data)
+    for source in ("points3D.txt", "sparse/0/points3D.bin", "sparse"):
+        run = tso("convert", tmp_path / source, tmp_path / "p.ply", "--overwrite")
+        assert run.err == ""
+        cloud = read_cloud(tmp_path / "p.ply")
+        assert cloud.points.tolist() == [[0.5, 1.0, 2.0], [1.0, 1.0, 2.0]]
+        assert cloud.colours()[0].tolist() == [1.0, 0.0, 0.2]
+    (tmp_path / "sparse/0/points3D.bin").write_bytes(data[:-1])
+    refusal = tso("convert", tmp_path / "sparse", tmp_path / "p.ply", "--overwrite").refusal
+    assert "points3D.bin: ends early" in refusal
+    (tmp_path / "points3D.txt").write_text("1 2 3\n")
+    refusal = tso("convert", tmp_path / "points3D.txt", tmp_path / "p.ply", "--overwrite").refusal
+    assert "line 1 has 3 columns, expected at least 8" in refusal
 
 
 def test_a_quaternion_is_that_of_its_rotation():
@@ -217,3 +294,28 @@ def test_mask_shows_what_would_be_used_and_writes_it(tso, tmp_path, folder):
     assert "turned    upright" not in text
     assert tso("mask", tmp_path / "turned.png", "--json").document["exif_orientation"] == 6
     assert "is the input" in tso("mask", "mask.png", "-o", "mask.png", "--overwrite").refusal
+
+
+@pytest.mark.parametrize(("value", "what"), [(0, "nothing"), (255, "everything")])
+def test_mask_says_that_nothing_or_everything_is_inside(tso, tmp_path, value, what):
+    Image.new("L", (20, 20), value).save(tmp_path / "a.png")
+    assert f"{what} is inside, which tso refine refuses" in tso("mask", tmp_path / "a.png").err
+
+
+def test_poses_take_k_from_another_file(tso, tmp_path):
+    target = tmp_path / "c.json"
+    poses = ("convert", FILES / "cameras/open3d_trajectory.log", target)
+    assert "or poses and --intrinsics FILE with K" in tso(*poses, "--size", "256x256").refusal
+    assert tso(*poses, "--intrinsics", FILE_OF_K).code == 0
+    known = cameras_of(FILES / "cameras/open3d_trajectory.json")
+    assert_same_cameras(cameras_of(target), known, error=1e-6)
+
+
+def test_what_another_format_cannot_hold_names_the_camera_file(tso, tmp_path):
+    view = json.loads((FILES / "cameras/own.json").read_text())
+    refusal = tso("convert", FILES / "cameras/own.json", tmp_path / "c.json", "--size", "9x5")
+    assert "own.json: is for a picture of 256x256, found --size 9x5" in refusal.refusal
+    view["K"][0][1] = 3.5
+    (tmp_path / "s.json").write_text(json.dumps(view))
+    refusal = tso("convert", tmp_path / "s.json", tmp_path / "m", "--to", "colmap").refusal
+    assert "s.json: view_0.png: K has a skew of 3.5" in refusal

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.readme import DOCS
-from tso_cli import Camera, RefineConfig, View, refine, refine_batch
+from tso_cli import Camera, RefineConfig, View, refine, refine_batch, refine_each
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.refinement.decisions import Decision
 
@@ -35,7 +35,7 @@ def fields_within(value: Any) -> Iterator[str]:
             yield from fields_within(inner)
 
 
-@pytest.mark.parametrize("what", [refine, refine_batch], ids=lambda what: what.__name__)
+@pytest.mark.parametrize("what", [refine, refine_batch, refine_each])
 def test_the_arguments_of_a_function_are_named(what, named):
     assert set(inspect.signature(what).parameters) <= named
 

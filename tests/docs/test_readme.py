@@ -135,6 +135,8 @@ def test_every_option_that_a_page_names_is_one_of_a_command():
     }
     # Of every command, of torchrun, COLMAP and scripts.
     options |= {"--help", "--figures", "--nproc-per-node", "--output_type", "--used"}
+    # Of SLURM and GNU parallel.
+    options |= {"--array", "--cpus-per-task", "--sshloginfile", "--wd"}
     for page in PAGES:
         named = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", page.read_text()))
         assert named <= options, f"{page.name}: {sorted(named - options)}"

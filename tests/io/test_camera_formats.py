@@ -5,6 +5,7 @@ write them, for shapes of `examples/meshes`.
 """
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -383,3 +384,46 @@ def test_tensors_that_would_fill_the_memory_or_are_no_numbers_are_refused(tmp_pa
     torch.save({"R": [[1.0], [1.0, 2.0]], "T": torch.zeros(3)}, tmp_path / "ragged.pt")
     for name in ("huge.pt", "sparse.pt", "ragged.pt"):
         assert_refused(name, read_partial_cameras, tmp_path / name)
+
+
+def test_a_folder_of_a_data_set_stands_for_its_cameras(tmp_path):
+    assert len(read_partial_cameras(FILES / "nerf")[0]) == 4
+    assert len(read_partial_cameras(FILES / "colmap/sparse")[0]) == 4
+    for part in ("train", "val"):
+        shutil.copy(FILES / "nerf/transforms_train.json", tmp_path / f"transforms_{part}.json")
+    assert_refused(
+        "holds transforms_train.json and transforms_val.json, expected one",
+        read_partial_cameras, tmp_path,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("document", "says"),
+    [
+        ({"views": [], "intrinsics": [], "poses": []}, "a scene of Meshroom; export it for COLMAP"),
+        ({"sfm_data_version": "0.3", "views": []}, "a scene of OpenMVG; export it for COLMAP"),
+        ([{"cameras": {}, "shots": {}}], "a reconstruction of OpenSfM; export it for COLMAP"),
+    ],
+)
+def test_scenes_of_other_reconstructions_say_how_to_export_them(save, document, says):
+    assert_refused(f"is {says}", read_partial_cameras, save("a.json", document))
+
+
+def test_a_part_of_a_colmap_model_says_what_is_missing(tmp_path):
+    shutil.copy(FILES / "colmap_text/cameras.txt", tmp_path)
+    message = r"holds cameras\.txt, and images\.txt or images\.bin is missing"
+    assert_refused(message, read_partial_cameras, tmp_path)
+    (view, *_), _ = read_partial_cameras(tmp_path / "cameras.txt")
+    message = r"has K but no pose, .*; give the folder of the COLMAP model"
+    assert_refused(message, view.camera, tmp_path / "cameras.txt", *view.size)
+    (tmp_path / "cameras.txt").unlink()
+    assert_refused("is a folder without a camera file", read_partial_cameras, tmp_path)
+
+
+def test_wrong_values_of_json_are_named_without_python(save):
+    view = json.loads((FILES / "cameras/own.json").read_text())
+    path = save("a.json", view | {"t": [0, 1, "2,1"]})
+    assert_refused(r"t\[2\] is '2,1', expected a number", read_partial_cameras, path)
+    path = save("a.json", '{"K": ' + "1" * 5000 + "}")
+    assert_refused("a number has thousands of digits", read_partial_cameras, path)
+    assert_refused("holds nothing, expected", read_partial_cameras, save("a.json", "null"))

@@ -155,7 +155,7 @@ BAD = {
     "K of 8": (changed(K=[1, 0, 0, 0, 1, 0, 0, 0]), r"K is an array \[8\], expected 3x3 or \[9\]"),
     "K ragged": (changed(K=[[1, 0, 0], [0, 1], [0, 0, 1]]), r"K is a list of 3, expected 3x3 or"),
     "K of text": (
-        changed(K=[["1", 0, 0], [0, 1, 0], [0, 0, 1]]), r"K is a list of 3, expected 3x3 or",
+        changed(K=[["1", 0, 0], [0, 1, 0], [0, 0, 1]]), r"K\[0\]\[0\] is '1', expected a number",
     ),
     "K NaN": (
         changed(K=[[np.nan, 0, 0], [0, 1, 0], [0, 0, 1]]),
@@ -290,9 +290,9 @@ def test_views_that_name_other_masks_are_taken_in_their_order_with_a_warning(sav
 def test_another_number_of_masks_than_views_and_an_order_that_contradicts_the_names_are_refused(
     save_views,
 ):
-    message = r"views\.json: holds 3 views \(.*\), found 2 masks; expected as many"
+    message = r"views\.json: holds 3 views \(.*\), which name no pictures, found 2 masks"
     assert_refused(message, _order, save_views(None, None, None), "a.png", "b.png")
-    message = r"b\.png is named by views\[1\] and given at place 0, expected the same order"
+    message = r"b\.png is named like view 2 of 3 and is mask 1, expected the order of the views"
     assert_refused(
         message, _order, save_views("a.png", "b.png", "c.png"), "b.png", "a.png", "other.png"
     )
@@ -311,3 +311,10 @@ def test_pictures_with_alpha_are_the_masks_of_a_file_that_names_none():
     nerf = Path(__file__).parent / "files/nerf"
     found = named_masks(nerf / "transforms_train.json")
     assert found == [nerf / "train" / f"r_{number}.png" for number in range(4)]
+
+
+def test_a_picture_that_does_not_exist_is_named(tmp_path):
+    file = Path(__file__).with_name("files") / "cameras/own.json"
+    view = json.loads(file.read_text()) | {"image": "none.png"}
+    (tmp_path / "c.json").write_text(json.dumps(view))
+    assert_refused(r"names .*none\.png, which does not exist", named_masks, tmp_path / "c.json")

@@ -332,6 +332,6 @@ def test_nodes_of_a_scene_that_form_a_circle_are_refused(tmp_path):
         {"children": [1]}, {"children": [0]},
     ]}  # fmt: skip
     assert_refused(
-        "the node 0 is below itself, expected nodes as a tree", read,
+        "node 0 is its own ancestor, expected a tree of nodes", read,
         write(tmp_path / "c.gltf", scene),
     )  # fmt: skip

@@ -420,7 +420,7 @@ def npy(kind, shape, size):
         ("1 2 3\n4 5\n", "line 2 has 2 columns, expected at least 3"),
         ("x y z\n1 2 3\n", "line 1 has 'x', expected a number"),
         ("1 2 3\n4 5 6_0\n", "line 2 has '6_0', expected a number"),
-        ("1,2,3\n4,5,6\n", "line 1 has 1 columns"),
+        ("1,2,3\n4,5,6\n", "line 1 has 1 column"),
         ("# nothing\n", "0 points"),
         ("1 2 3\x00\n4 5 6", "line 1 has .*expected a number"),
     ],

@@ -1,6 +1,8 @@
 """Masks of every kind mean the same; images come upright; other files are refused in a line."""
 
+import os
 import struct
+import warnings
 import zlib
 
 import numpy as np
@@ -8,7 +10,14 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused, repair_png
-from tso_cli.io.images import PIXEL_LIMIT, read_depth, read_image, write_image
+from tso_cli.io.images import (
+    PIXEL_LIMIT,
+    has_alpha,
+    orientation,
+    read_depth,
+    read_image,
+    write_image,
+)
 from tso_cli.io.masks import read_mask
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -296,3 +305,20 @@ def test_a_depth_map_keeps_sixteen_bits_and_its_scale_and_what_is_unknown_become
     Image.fromarray(floats).save(tmp_path / "depth.tiff")
     for name in ("depth.npy", "depth.tiff"):
         np.testing.assert_allclose(read_depth(tmp_path / name), [[np.nan] * 3, [0.5, 2.0, 3.0]])
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.png")
+    assert orientation(tmp_path / "a.png") == 1
+    assert not has_alpha(tmp_path / "a.png")
+    assert_refused("is not a regular file", read_image, tmp_path / "a.png")
+
+
+def test_a_picture_too_large_says_how_many_pixels_it_has(tmp_path, monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    Image.new("L", (20, 20)).save(tmp_path / "a.png")
+    assert_refused("has 400 pixels, expected at most", read_image, tmp_path / "a.png")
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 300)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert orientation(tmp_path / "a.png") == 1

@@ -231,6 +231,11 @@ def test_a_folder_stands_for_its_masks_in_the_order_of_their_names(tmp_path):
         saved(tmp_path / name, (ONE * 255).astype(np.uint8))
     (tmp_path / "notes.txt").write_text("no mask")
     assert [path.name for path in masks_in(tmp_path)] == ["a.png", "b.png"]
+    numbered = tmp_path / "numbered"
+    numbered.mkdir()
+    for name in ("10.png", "2.png", "view_9.png", "view_10.png"):
+        (numbered / name).touch()
+    assert [path.stem for path in masks_in(numbered)] == ["2", "10", "view_9", "view_10"]
     assert masks_in(tmp_path / "a.png") == [tmp_path / "a.png"]
     (tmp_path / "empty").mkdir()
     assert_refused("holds no mask", masks_in, tmp_path / "empty")
@@ -289,3 +294,52 @@ def test_labels_of_arrays_may_be_floats_and_not_booleans(tmp_path):
     np.testing.assert_array_equal(read_mask(tmp_path / "f.npy", MaskChoice("2")), OTHER)
     np.save(tmp_path / "b.npy", ONE)
     assert_refused("holds true and false", read_mask, tmp_path / "b.npy", MaskChoice("1"))
+
+
+def a_photo():
+    """A grey thing with light and dark parts on a white background."""
+    picture = np.full((240, 240), 255, np.uint8)
+    rows, columns = np.mgrid[:240, :240]
+    round_ = np.hypot(rows - 120, columns - 120)
+    picture[round_ < 100] = 190
+    picture[round_ < 40] = 60
+    picture += (rows % 3).astype(np.uint8) * (round_ < 100)
+    return picture, round_ < 100
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg"])
+def test_a_grey_photo_on_a_white_background_is_read_like_one_in_colours(tmp_path, name):
+    picture, thing = a_photo()
+    found = []
+    for mode in ("L", "RGB"):
+        Image.fromarray(picture).convert(mode).save(tmp_path / name, quality=95)
+        with pytest.warns(UserWarning, match="is a photo on a plain background"):
+            found.append(read_mask(tmp_path / name) > 0.5)
+    assert np.mean(found[0] != thing) < 0.01
+    assert np.mean(found[0] != found[1]) < 0.01
+
+
+def test_the_shades_of_a_lossy_photo_are_no_labels():
+    codes = np.repeat(np.arange(0, 240, 5), 40)[None].repeat(40, 0).astype(np.uint8)
+    assert labels_of(codes)
+    assert labels_of(codes, lossy=True) == {}
+    codes = np.zeros((60, 60), np.uint8)
+    codes[5:20, 5:20], codes[20:25, 5:20], codes[30:50, 30:50] = 100, 101, 200
+    assert set(labels_of(codes, lossy=True)) == {100, 200}
+
+
+def test_a_label_of_a_list_of_segmentations_is_refused():
+    path = FILES / "sam_auto.json"
+    assert_refused("choose one: `mask_index` N", read_mask, path, MaskChoice(label="1"))
+
+
+@pytest.mark.parametrize(
+    ("document", "says"),
+    [
+        ({"K": [], "R": []}, "is a camera file, expected a mask"),
+        ({"shapes": [], "imagePath": "a.png"}, "is an annotation of LabelMe"),
+    ],
+)
+def test_other_files_of_json_than_segmentations_are_named(tmp_path, document, says):
+    (tmp_path / "a.json").write_text(json.dumps(document))
+    assert_refused(says, read_mask, tmp_path / "a.json")

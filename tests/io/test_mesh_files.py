@@ -15,6 +15,7 @@ from tests.readme import ROOT
 from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.gltf import GltfFile
+from tso_cli.io.masks import read_mask
 from tso_cli.io.meshes import read_mesh
 from tso_cli.io.obj import ObjFile
 from tso_cli.io.shapes import read_shape
@@ -461,7 +462,7 @@ def test_tables_with_other_separators_names_and_columns_are_read(save, text):
         ("x,y,z\n1,2,3\n4,5\n", "line 3 has 2 columns, expected at least 3"),
         ("a,b,c\n1,2,3\n", "its columns are a, b, c, expected x, y and z"),
         ('x,y,z\n1,2,3\n4,5,6,"a\n', "line 3 is no row of a .csv file"),
-        ("x;y;z\n1.000,5;2;3\n", "line 2 has '1.000.5' as x, expected a number"),
+        ("x;y;z\n1.000,5;2;3\n", "line 2 has '1.000.5' as x .commas are decimal"),
     ],
 )
 def test_a_wrong_row_of_a_csv_is_refused_with_its_line(save, text, says):
@@ -525,9 +526,15 @@ def test_a_result_is_written_as_what_its_suffix_says(tmp_path):
         write_cloud(tmp_path / name, moved, like=cloud)
         np.testing.assert_allclose(read_cloud(tmp_path / name).points, moved, atol=1e-6)
     path, mesh = a_glb(tmp_path, textured=True)
-    lost = "its textures, materials, texture coordinates and normals do not go into a .ply; write"
+    lost = "its textures, materials and texture coordinates do not go into .ply; write"
     with pytest.warns(UserWarning, match=f"{lost} .glb to keep them"):
         write_cloud(tmp_path / "a.ply", read_cloud(path).points, like=read_cloud(path))
+    normals = [read_cloud(file).source.read_normals() for file in (path, tmp_path / "a.ply")]
+    np.testing.assert_allclose(normals[1], normals[0], atol=1e-6)
+    lost = "texture coordinates and normals do not go"
+    scene = read_cloud(path)
+    with pytest.warns(UserWarning, match=lost):
+        write_cloud(tmp_path / "a.ply", scene.points + 1.0, like=scene, overwrite=True)
     assert (read_cloud(tmp_path / "a.ply").faces() == mesh.faces).all()
     assert_refused(
         "expected .ply or .npy or .xyz", write_cloud, tmp_path / "a.glb", moved, like=cloud
@@ -539,6 +546,7 @@ def test_a_result_is_written_as_what_its_suffix_says(tmp_path):
     [
         ("", ""),
         ("vn 0 0 1\n", "normals"),
+        ("vn 0 0 1\nf 3//1 2//1 1//1\n", ""),
         ("usemtl a\nvt 0 0\n", "materials and texture coordinates"),
     ],
 )
@@ -549,7 +557,7 @@ def test_a_warning_names_what_a_ply_has_no_place_for_if_it_is_there(tmp_path, te
         warnings.simplefilter("always")
         write_cloud(tmp_path / "a.ply", cloud.points, like=cloud)
     said = [str(one.message).partition("a.obj: ")[2] for one in caught]
-    assert said == ([f"its {lost} do not go into a .ply; write .obj to keep them"] if lost else [])
+    assert said == ([f"its {lost} do not go into .ply; write .obj to keep them"] if lost else [])
 
 
 @pytest.mark.parametrize(
@@ -578,3 +586,61 @@ def test_faces_of_an_array_must_name_its_points(tmp_path):
     assert_refused(r"bad\.npz", read_cloud, tmp_path / "bad.npz")
     np.savez(tmp_path / "quads.npz", points=points, faces=[[0, 1, 2, 3]])
     assert_refused(r"quads\.npz", read_cloud, tmp_path / "quads.npz")
+
+
+def test_decimal_commas_in_a_file_separated_by_commas_are_refused(save):
+    path = save("a.csv", "x,y,z\n0,1,0,2,0,3\n")
+    assert_refused("line 2 has 6 values, its header 3, expected as many", read_cloud, path)
+    assert len(read_cloud(save("b.csv", "x,y,z\n0,1,2,,\n1,1,1\n")).points) == 2
+
+
+def test_a_csv_without_a_header_says_that_it_uses_three_columns(save):
+    with pytest.warns(UserWarning, match="only the first three of its columns are used"):
+        cloud = read_cloud(save("a.csv", "1,2,3,4\n5,6,7,8\n"))
+    assert cloud.points.tolist() == [[1.0, 2.0, 3.0], [5.0, 6.0, 7.0]]
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.xyz", "points3D.txt"])
+def test_a_line_of_megabytes_is_refused_before_it_is_parsed(save, name):
+    path = save(name, "1 2 3 " * 500_000)
+    assert_refused("a line has over 1,048,576 characters", read_cloud, path)
+
+
+def test_zeros_are_not_unpacked_if_they_do_not_fit(tmp_path, monkeypatch):
+    np.savez_compressed(tmp_path / "a.npz", points=np.zeros((1 << 20, 3)))
+    np.savez_compressed(tmp_path / "m.npz", mask=np.zeros((15_000, 10_000), np.uint8))
+    monkeypatch.setattr("tso_cli.io.reading.free_memory", lambda: 200.0 * 2**20)
+    assert_refused("needs about 0.24 GiB of memory", read_cloud, tmp_path / "a.npz")
+    monkeypatch.undo()
+    assert_refused("is 15000x10000, 150,000,000 pixels", read_mask, tmp_path / "m.npz")
+
+
+def test_the_counts_of_an_off_file_may_stand_in_its_first_line(tmp_path):
+    rows = "3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    (tmp_path / "a.off").write_text(f"OFF{rows}")
+    cloud = read_cloud(tmp_path / "a.off")
+    assert cloud.points.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    assert cloud.faces().tolist() == [[0, 1, 2]]
+    (tmp_path / "b.off").write_text("OFF" + rows.replace("1 0 0", "1 a 0"))
+    assert_refused("line 3 has '1 a 0', expected x, y and z", read_cloud, tmp_path / "b.off")
+
+
+def test_a_file_of_torch_before_1_6_is_read(tmp_path):
+    torch = pytest.importorskip("torch")
+    points = torch.rand(20, 3)
+    torch.save(points, tmp_path / "a.pt", _use_new_zipfile_serialization=False)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pt").points, points.double().numpy())
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.glb", CHAIR.read_bytes(), "holds a .ply file, by its content, expected .glb"),
+        ("a.glb", b"glTF", r"is a damaged GLB or glTF \(it ends early\)"),
+        ("a.csv", "x,y,z\n".encode("utf-16"), "is UTF-16 text, expected UTF-8"),
+        ("a.txt", "1,2,3\n", "has 1 column, .* separated by blanks; rename it to .csv"),
+        ("a.xyz", "1\n", "has 1 column, expected at least 3, separated by blanks$"),
+    ],
+)
+def test_a_file_of_another_kind_than_its_suffix_says_so(save, name, content, says):
+    assert_refused(says, read_cloud, save(name, content))

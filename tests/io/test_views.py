@@ -1,6 +1,7 @@
 """Which camera each mask gets, from files of tso and of other programs, and what the run says."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_refused
+from tso_cli.io.cameras import find_camera
 from tso_cli.io.views import ViewFiles, load_views, summary_of
 
 FILES = Path(__file__).parent / "files"
@@ -49,7 +51,7 @@ def test_other_names_take_the_views_in_their_order_and_the_run_says_so(masks):
     assert [origin.view for origin in origins] == ["000.png", "001.png", "002.png", "003.png"]
     assert summary_of(origins).endswith("(a COLMAP model; views in the order of the masks)")
     assert_refused(
-        r"holds 4 views \(000\.png, .*\), found 2 masks; expected as many, or masks named like",
+        r"none of its 4 views \(000\.png, .*\) names the mask .*a\.png, expected one",
         load_views,
         ViewFiles(paths[:2], FILES / "colmap"),
     )
@@ -157,7 +159,105 @@ def test_a_turned_mask_with_a_camera_file_is_taken_as_it_is_stored(tmp_path, tur
 def test_an_order_that_contradicts_the_names_of_the_pictures_is_refused(masks):
     paths = masks("002.png", "001.png", "00l.png", "003.png")
     assert_refused(
-        r"the mask .*002\.png is named by views\[2\] and given at place 0, expected the same order",
+        r"the mask .*002\.png is named like view 3 of 4 and is mask 1, expected the order",
         load_views,
         ViewFiles(paths, FILES / "colmap"),
+    )
+
+
+def test_the_camera_file_of_a_data_set_is_found_above_the_mask(tmp_path):
+    files = FILES
+    for scene, mask, name in (
+        ("nerfstudio", "images/frame_00002.png", "transforms.json"),
+        ("nerf", "train/r_1.png", "transforms_train.json"),
+        ("bop", "mask_visib/000002_000000.png", "scene_camera.json"),
+    ):
+        assert find_camera(files / scene / mask) == files / scene / name
+    other = tmp_path / "images/frame_00002.png"
+    other.parent.mkdir()
+    shutil.copy(files / "nerfstudio/transforms.json", tmp_path)
+    assert find_camera(other.with_name("mask.png")) is None
+    assert find_camera(other) == tmp_path / "transforms.json"
+    poses = json.loads((files / "bop/scene_gt.json").read_text())
+    poses["0"].append(poses["0"][0] | {"obj_id": 5})
+    (tmp_path / "scene_gt.json").write_text(json.dumps(poses))
+    shutil.copy(files / "bop/scene_camera.json", tmp_path)
+    shutil.copytree(files / "bop/mask_visib", tmp_path / "mask_visib")
+    mask = tmp_path / "mask_visib/000002_000000.png"
+    assert_refused("holds the objects 1, 5, expected one", load_views, ViewFiles([mask]))
+    (tmp_path / "transforms.json").write_text("{")
+    assert find_camera(other) is None
+
+
+def test_the_output_says_that_a_mask_without_a_camera_is_turned(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    picture = np.zeros((40, 60), np.uint8)
+    picture[5:20, 5:20] = 255
+    Image.fromarray(picture).save(tmp_path / "a.png", exif=exif)
+    _, origins = load_views(ViewFiles([tmp_path / "a.png"]))
+    said = "a.png is turned upright by its EXIF orientation"
+    assert said in summary_of(origins)
+    assert said in str(origins[0])
+
+
+def test_a_mask_given_twice_is_named(tmp_path):
+    mask = FILES / "colmap/masks/000.png.png"
+    assert_refused(
+        r"000\.png\.png: is given twice", load_views, ViewFiles([mask, mask], FILES / "colmap")
+    )
+    shutil.copy(mask, tmp_path / "000.png")
+    assert_refused(
+        r"the masks .* are both named like the view 000\.png",
+        load_views,
+        ViewFiles([mask, tmp_path / "000.png"], FILES / "colmap"),
+    )
+
+
+def test_views_without_pictures_take_masks_in_their_order_alone(tmp_path):
+    document = json.loads((FILES / "cameras/open3d_trajectory.json").read_text())
+    document["parameters"] *= 3
+    (tmp_path / "t.json").write_text(json.dumps(document))
+    assert_refused(
+        "which name no pictures, found 1 mask; expected as many; give a mask for each view",
+        load_views,
+        ViewFiles([FILES / "cameras/mask.png"], tmp_path / "t.json"),
+    )
+
+
+def test_an_ambiguous_name_of_a_data_set_says_a_name_that_is_not(tmp_path):
+    shutil.copy(FILES / "bop/scene_camera.json", tmp_path)
+    poses = json.loads((FILES / "bop/scene_gt.json").read_text())
+    twice = {picture: entries * 2 for picture, entries in poses.items()}
+    (tmp_path / "scene_gt.json").write_text(json.dumps(twice))
+    mask = tmp_path / "000002.png"
+    shutil.copy(FILES / "bop/mask_visib/000002_000000.png", mask)
+    message = r"000002_000000 and 000002_000001, .* name it like its view: 000002_000000\.png"
+    assert_refused(message, load_views, ViewFiles([mask], tmp_path))
+    message = r"name the mask like its view, such as 000000_000000\.png"
+    other = mask.rename(tmp_path / "m.png")
+    assert_refused(message, load_views, ViewFiles([other], tmp_path))
+
+
+def test_a_wrong_size_names_the_file_that_says_it(tmp_path):
+    text = (FILES / "cameras/camera_info.yaml").read_text()
+    (tmp_path / "k.yaml").write_text(text.replace("width: 256", "width: 512"))
+    files = ViewFiles(
+        [FILES / "cameras/mask.png"],
+        FILES / "cameras/open3d_trajectory.log",
+        intrinsics=tmp_path / "k.yaml",
+    )
+    assert_refused(r"k\.yaml: is for a picture of 512x256", load_views, files)
+
+
+def test_a_mask_of_another_object_says_which_mask_is_expected(tmp_path):
+    shutil.copy(FILES / "bop/scene_camera.json", tmp_path)
+    poses = json.loads((FILES / "bop/scene_gt.json").read_text())
+    both = {picture: [*one, one[0] | {"obj_id": 5}] for picture, one in poses.items()}
+    (tmp_path / "scene_gt.json").write_text(json.dumps(both))
+    mask = FILES / "bop/mask_visib/000002_000000.png"
+    assert_refused(
+        "is of another object of its picture, expected 000002_000001",
+        load_views,
+        ViewFiles([mask], tmp_path, object_id=5),
     )

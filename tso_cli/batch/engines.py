@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -58,13 +59,13 @@ def _dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
     # failures allowed, a task that kills its worker would kill several.
     settings = {
         "distributed.scheduler.allowed-failures": 0,
-        "distributed.comm.timeouts.connect": "20s",
+        "distributed.comm.timeouts.connect": "5s",
         "distributed.worker.daemon": False,
-        "distributed.admin.log-format": "%(name)s: %(message)s",
-        "logging.distributed": "error",
     }
     with dask.config.set(settings):
-        local: dict[str, Any] = dict(threads_per_worker=1, dashboard_address=None)
+        local: dict[str, Any] = dict(
+            threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+        )
         cluster = None if scheduler else LocalCluster(n_workers=processes, **local)
         try:
             client = Client(scheduler or cluster)

@@ -16,6 +16,7 @@ from ..io.output import reason, sole_writer
 
 NAME = "journal.jsonl"
 STARTED = "started"
+RETURNED = "returned"  # a start that came to nothing, because the batch was ending
 # How an item ends. An item that ended as one of the second kind is tried again by the next run.
 ENDS = ("done", "doubtful", "refused", "failed")
 TRIED_AGAIN = ("failed",)
@@ -47,6 +48,8 @@ def read_journal(path: Path) -> dict[str, Past]:
         one = past.setdefault(entry["item"], Past())
         if entry["event"] == STARTED:
             one.starts += 1
+        elif entry["event"] == RETURNED:
+            one.starts -= 1
         else:
             one.starts, one.end = 0, entry
     return past
@@ -66,7 +69,7 @@ def entries(path: Path) -> Iterator[dict[str, Any]]:
                 entry = json.loads(line)
             except ValueError:
                 continue
-            known = isinstance(entry, dict) and entry.get("event") in (STARTED, *ENDS)
+            known = isinstance(entry, dict) and entry.get("event") in (STARTED, RETURNED, *ENDS)
             if known and isinstance(entry.get("item"), str):
                 yield entry
 

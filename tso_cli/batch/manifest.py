@@ -126,7 +126,8 @@ def _of_folder(folder: Path) -> list[Item]:
             without.append(relative)
             continue
         values = {CLOUD: str(path), MASK: str(mask)}
-        if camera := _named(cameras / name, ("", *CAMERAS), path):
+        apart = ("",) if cameras != folder else ()  # there, a folder NAME holds the masks
+        if camera := _named(cameras / name, (*apart, *CAMERAS), path):
             values["camera"] = str(camera)
         items.append(Item(f"{folder}: {relative}", values))
     if not items or without:

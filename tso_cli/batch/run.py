@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..errors import InputError
+from ..errors import InputError, TsoError
 from ..io.output import reason
-from ..workers import Ended, each
-from .journal import STARTED, Journal, Past
+from ..workers import Ended, WorkerDied, each, is_death
+from .journal import RETURNED, STARTED, Journal, Past
 
 # Results of earlier runs are checked in tasks of about so long.
 CHECKING_SECONDS = 1.0
@@ -26,14 +26,12 @@ class Task:
 
     item : its name, which is that of its output in the batch's folder.
     arguments : of `tso refine`. key : of the result that is there already.
-    known : whether an earlier run has begun it, so that a file at its place may be replaced.
     written : whether its last end wrote a result. refusal : why it is not even begun.
     """
 
     item: str
     arguments: tuple[str, ...]
     key: str | None = None
-    known: bool = False
     written: bool = True
     refusal: str = ""
 
@@ -90,7 +88,7 @@ def tasks_of(
         one = past.get(item, Past())
         written = bool(one.end.get("output"))
         known = written or one.starts > 0
-        tasks.append(Task(item, arguments, one.key, known, written, refusal(item, known)))
+        tasks.append(Task(item, arguments, one.key, written, refusal(item, known)))
     return tasks
 
 
@@ -137,6 +135,7 @@ def run(
             window,
             last=last,
             on_start=lambda task, deaths: journal.add(task.item, STARTED),
+            on_return=lambda task: journal.add(task.item, RETURNED),
             stopping=stopping,
             task_seconds=task_seconds,
         )
@@ -147,10 +146,10 @@ def run(
 
 
 def _end(item: str, outcome: Outcome, journal: Journal, summary: Summary, on_end: OnEnd) -> None:
-    told = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
+    line = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
     if outcome.reason:
-        told["reason"] = outcome.reason
-    journal.add(item, outcome.event, **told)
+        line["reason"] = outcome.reason
+    journal.add(item, outcome.event, **line)
     summary.add(item, outcome)
     on_end(item, outcome, summary)
 
@@ -161,9 +160,12 @@ def _outcome_of(ended: Ended[Task]) -> Outcome:
         outcome = ended.result
         assert isinstance(outcome, Outcome)
         return outcome
+    words = str(error) if isinstance(error, (TsoError, WorkerDied)) else reason(error)
+    if is_death(error) and not isinstance(error, WorkerDied):
+        words = "its process died"  # the engine's words are about its tasks
     deaths = f", {ended.deaths} times" if ended.deaths > 1 else ""
     event = "refused" if isinstance(error, InputError) else "failed"
-    return Outcome(event, reason=f"{reason(error)}{deaths}", values={"deaths": ended.deaths})
+    return Outcome(event, reason=f"{words}{deaths}", values={"deaths": ended.deaths})
 
 
 @contextmanager

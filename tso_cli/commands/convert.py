@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..errors import InputError
-from ..io.cameras import CameraRecord, camera_text, is_there, read_partial_cameras, words_of
+from ..errors import InputError, prefixed
+from ..io.cameras import CameraRecord, camera_text, read_partial_cameras, same_shape, words_of
 from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
-from ..io.clouds import NEW, check_rounding, read_cloud, write_cloud
+from ..io.clouds import MOVABLE, NEW, check_rounding, read_cloud, warn_of_losses, write_cloud
 from ..io.output import check_output, write_file
+from ..io.reading import is_there, plain
 from . import options
 from .options import PATH
 
@@ -56,6 +57,7 @@ class Size(click.ParamType):
 )
 @options.camera_format
 @options.option("--size", "Size of the pictures, if A does not say it.", type=Size())
+@options.option("--intrinsics", "Camera file whose K is used for the cameras of A.", type=PATH)
 @options.object_id
 @options.overwrite
 def command(
@@ -64,6 +66,7 @@ def command(
     to: str | None,
     camera_format: str | None,
     size: tuple[int, int] | None,
+    intrinsics: Path | None,
     object_id: int | None,
     overwrite: bool,
 ) -> None:
@@ -80,10 +83,18 @@ def command(
     """
     if to is not None or target.suffix.lower() == ".json":
         read = read_partial_cameras(source, camera_format, object_id)
+        if intrinsics is not None:
+            from ..io.views import with_intrinsics
+
+            known, _ = read_partial_cameras(intrinsics)
+            masks = [view.mask or view.image or Path(view.label) for view in read[0]]
+            posed = zip(read[0], masks, strict=True)
+            read = [with_intrinsics(one, known, intrinsics, mask) for one, mask in posed], read[1]
         _convert_cameras(source, read, target, to or "tso", size, overwrite)
         return
     for name, value in (
-        ("--camera-format", camera_format), ("--size", size), ("--object", object_id)
+        ("--camera-format", camera_format), ("--size", size), ("--object", object_id),
+        ("--intrinsics", intrinsics),
     ):  # fmt: skip
         if value is not None:
             raise InputError(f"{name} is for cameras, found {target} as a cloud or mesh to write")
@@ -92,17 +103,20 @@ def command(
 
 def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
     suffix = target.suffix.lower()
-    if suffix not in (*NEW, *MESHES):
+    own = suffix in MOVABLE and suffix == source.suffix.lower()
+    if suffix not in (*NEW, *MESHES) and not own:
         raise InputError(
             f"{target}: the suffix is {target.suffix!r}, expected {', '.join((*NEW, *MESHES))}, or "
-            ".json for cameras"
+            "for cameras .json, or --to"
         )
     check_output(target, overwrite)
     cloud = read_cloud(source, extended=False)
     faces = cloud.faces()
-    if suffix in MESHES:
-        if faces is None:
-            raise InputError(f"{source}: has no faces, expected a mesh for {suffix}")
+    if suffix in MESHES and not own and faces is None:
+        raise InputError(f"{source}: has no faces, expected a mesh for {suffix}")
+    if not own and suffix != ".ply":
+        warn_of_losses(cloud, suffix)
+    if faces is not None and suffix in MESHES and not own:
         from ..io.meshes import new_mesh
 
         if suffix in (".glb", ".stl"):
@@ -131,13 +145,16 @@ def _convert_cameras(
     named = list(zip(names, cameras, lenses, strict=True))
     if to == "colmap":
         folder = folder_of(target, overwrite)
-        texts = colmap_texts(named)
+        with prefixed(f"{source}: "):
+            texts = colmap_texts(named)
         folder.mkdir(exist_ok=True)
         for name, text in texts.items():
             write_file(folder / name, text.encode(errors="surrogateescape"), overwrite=True)
     elif to == "transforms":
         options.require_output(target, ".json", overwrite)
-        write_file(target, transforms_text(named).encode(), overwrite)
+        with prefixed(f"{source}: "):
+            text = transforms_text(named)
+        write_file(target, text.encode(), overwrite)
     else:
         options.require_output(target, ".json", overwrite)
         if any(lens and not lens.none for lens in lenses):
@@ -166,6 +183,21 @@ def _picture(view: PartialCamera, number: int, folder: Path) -> str:
 
 
 def _complete(view: PartialCamera, source: Path, size: tuple[int, int] | None) -> Camera:
+    where = f"{source}: {plain(view.title)}" if view.title else str(source)
+    if size and view.size and not same_shape(view.size, size):
+        raise InputError(
+            f"{where}: is for a picture of {view.size[0]}x{view.size[1]}, found --size "
+            f"{size[0]}x{size[1]}, expected the same proportions; leave --size out"
+        )
+    for known, lacking in (
+        (view.intrinsics, "a pose but no focal length"),
+        (view.R, "K but no pose"),
+    ):
+        if known is None:
+            raise InputError(
+                f"{where}: has {lacking}, expected both, in one file, or poses and --intrinsics "
+                "FILE with K"
+            )
     sides = size or view.size
     if sides is None:
         raise InputError(

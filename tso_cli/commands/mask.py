@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import click
@@ -44,9 +45,16 @@ def command(
             raise InputError(f"{output}: is the input, expected another name")
     with options.Warnings(False):
         mask = read_mask(file, MaskChoice(label, mask_index))
-    if invert:
-        mask = np.float32(1.0) - mask
-    inside = mask > 0.5
+        if invert:
+            mask = np.float32(1.0) - mask
+        inside = mask > 0.5
+        if inside.all() or not inside.any():
+            what = "everything" if inside.any() else "nothing"
+            warnings.warn(
+                f"{file}: {what} is inside, which tso refine refuses; expected a part of the "
+                "picture",
+                stacklevel=1,
+            )
     height, width = mask.shape
     turned = orientation(file)
     pixels = int(np.count_nonzero(inside))

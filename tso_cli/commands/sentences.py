@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..diagnosis.confidence import FINDING
-from ..diagnosis.examine import NoOverlapError
+from ..diagnosis.examine import IN_PIXELS, NoOverlapError
 from ..diagnosis.findings import Finding
 from ..diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
 from ..diagnosis.placement import describe_box
@@ -18,6 +18,7 @@ from ..refinement import RefineResult
 SMALL_DISPLACEMENT = 1e-3
 # Pairs of masks and cameras that are named.
 MOST_PAIRS = 3
+UNITS = "if not, try --assume K-normalised, K-ndc or focal-mm-36"
 LOOK = "or look at the numbers with --check"
 # What mends a symptom of a single view.
 OPTIONS = {"box": "a mask of its outline", "occluder": "--ignore FILE"}
@@ -112,7 +113,8 @@ class Words:
 
     def no_overlap(self, error: NoOverlapError) -> InputError:
         """The error with advice by options."""
-        advice = self.suspicion(error.diagnosis.suspicious) or f"{error.advice}, {LOOK}"
+        general = error.advice.replace(IN_PIXELS, f"{IN_PIXELS} {UNITS}")
+        advice = self.suspicion(error.diagnosis.suspicious) or f"{general}, {LOOK}"
         if error.part:
             advice = (
                 f"it meets a part of the mask ({describe_box(error.part)}): is the rest something "

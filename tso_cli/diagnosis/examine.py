@@ -185,12 +185,15 @@ def _notes(
     return [finding for finding in found if finding]
 
 
+IN_PIXELS = "is K in pixels?"
+
+
 def _no_overlap(
     problem: str, diagnosis: Diagnosis, placement: Placement, view: View
 ) -> NoOverlapError:
     part, general = None, AXES_ADVICE
     if not focal_in_pixels(view.camera):
-        general = f"the focal length is {view.camera.K[0, 0]:.3g} px, is K in pixels?"
+        general = f"the focal length is {view.camera.K[0, 0]:.3g} px, {IN_PIXELS}"
     if diagnosis.suspicious:
         advice = f"it looks as if {' or '.join(one.says for one in diagnosis.suspicious)}"
     elif part := part_met(placement, view):

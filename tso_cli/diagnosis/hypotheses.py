@@ -244,7 +244,11 @@ HYPOTHESES = {
         Hypothesis("K-of-half-size", "K is of an image half as wide", camera=_image(2.0)),
         Hypothesis("K-of-double-size", "K is of an image twice as wide", camera=_image(0.5)),
         _unit_of_focal("K-normalised", "K is in shares of the width and height", _of_shares),
-        _unit_of_focal("K-ndc", "K is in normalised device coordinates, as PyTorch3D's", _of_ndc),
+        _unit_of_focal(
+            "K-ndc",
+            "K is in normalised device coordinates, as PyTorch3D's (its axes: pytorch3d)",
+            _of_ndc,
+        ),
         _unit_of_focal(
             "focal-mm-36",
             "the focal length is in mm, of a sensor 36 mm wide (focal-mm-32: 32 mm)",

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import pickle
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +16,15 @@ from .output import reason
 from .reading import array_header, read_array, require_memory, shown
 
 _PICKLE = "data.pkl"  # in a .pt file
+_PICKLED = b"\x80\x02\x8a\nl\xfc\x9cF\xf9"  # how torch.save began a file before torch 1.6
+_HEADER = 1 << 16  # bytes that hold the header of a .npy file
+Check = Callable[[tuple[int, ...]], None]
+"""Raises InputError for the shape of an array that is too large to be read."""
 
 
 def is_torch(data: bytes, path: Path) -> bool:
-    return any(name.endswith(_PICKLE) for name in _names(data, path))
+    """Whether a file was written by torch.save: an archive, or before torch 1.6 a pickle."""
+    return data.startswith(_PICKLED) or any(name.endswith(_PICKLE) for name in _names(data, path))
 
 
 def _names(data: bytes, path: Path) -> list[str]:
@@ -28,15 +35,18 @@ def _names(data: bytes, path: Path) -> list[str]:
         raise InputError(f"{path}: is a damaged archive ({reason(error)})") from None
 
 
-def arrays_of(data: bytes, path: Path, limit: int | None = None) -> dict[str, Any]:
+def arrays_of(
+    data: bytes, path: Path, limit: int | None = None, check: Check | None = None
+) -> dict[str, Any]:
     """Name -> numbers. Nothing is unpickled but tensors. Arrays of other types are left out.
 
-    ``limit`` : the most bytes of one array.
+    ``limit`` : the most bytes of one array. ``check`` sees the shape of each array of a .npz file
+    before its values are unpacked: a small file may hold many zeros.
     """
-    return _tensors(data, path) if is_torch(data, path) else _arrays(data, path, limit)
+    return _tensors(data, path) if is_torch(data, path) else _arrays(data, path, limit, check)
 
 
-def _arrays(data: bytes, path: Path, limit: int | None) -> dict[str, Any]:
+def _arrays(data: bytes, path: Path, limit: int | None, check: Check | None) -> dict[str, Any]:
     arrays = {}
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -50,8 +60,12 @@ def _arrays(data: bytes, path: Path, limit: int | None) -> dict[str, Any]:
                     )
                 require_memory(path, 3 * entry.file_size)
                 with archive.open(entry) as member:
-                    values = member.read(entry.file_size + 1)
-                if array_header(values, path)[0].kind in "biuf":
+                    values = member.read(_HEADER)
+                    dtype, shape, _, _ = array_header(values, path)
+                    if check is not None:
+                        check(shape)
+                    values += member.read(max(entry.file_size + 1 - len(values), 0))
+                if dtype.kind in "biuf":
                     arrays[entry.filename[: -len(".npy")]] = read_array(values, path)
     except InputError:
         raise
@@ -67,8 +81,8 @@ def _tensors(data: bytes, path: Path) -> dict[str, Any]:
         loaded = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # torch fails in many ways on damaged files
         raise InputError(
-            f"{path}: holds more than tensors, or is damaged ({reason(error)}); expected a "
-            "dictionary of tensors"
+            f"{path}: holds more than tensors, or is damaged{_why(error)}; expected a "
+            "dictionary of tensors: torch.save({'points': tensor}, FILE)"
         ) from None
     if not isinstance(loaded, dict):
         loaded = {"": loaded}
@@ -80,6 +94,11 @@ def _tensors(data: bytes, path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path}: holds a value that is no array of numbers ({reason(error)}), expected tensors"
         ) from None
+
+
+def _why(error: Exception) -> str:
+    """The reason of an error; that of an unpickler is advice on code that tso does not run."""
+    return "" if isinstance(error, pickle.UnpicklingError) else f" ({reason(error)})"
 
 
 def _is_data(value: Any) -> bool:

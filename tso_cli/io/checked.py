@@ -37,6 +37,9 @@ class Checked:
                 raise ValueError("not numbers")
             array = array.astype(np.float64)
         except (ValueError, TypeError, OverflowError):
+            place, wrong = _first_text(values)
+            if place:
+                raise self.error(where + place, kind(wrong), "a number") from None
             raise self.error(where, kind(values), _words(shapes)) from None
         if not any(_fits(array.shape, shape) for shape in shapes):
             size = list(array.shape)
@@ -65,9 +68,23 @@ class Checked:
 
 def kind(value: Any) -> str:
     """``value`` as a message quotes it."""
+    if value is None:
+        return "nothing"
     if isinstance(value, (list, dict)):
         return ("a list" if isinstance(value, list) else "an object") + f" of {len(value)}"
     return shown(value)
+
+
+def _first_text(values: Any) -> tuple[str, Any]:
+    """The place of the first entry of a list, or of lists in it, that is no number; "" for none."""
+    for index, value in enumerate(values if isinstance(values, list) else ()):
+        if isinstance(value, list):
+            place, wrong = _first_text(value)
+            if place:
+                return f"[{index}]{place}", wrong
+        elif isinstance(value, bool) or not isinstance(value, (int, float)):
+            return f"[{index}]", value
+    return "", None
 
 
 def _fits(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import math
 import warnings
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -14,10 +17,10 @@ from numpy.typing import NDArray
 from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import as_triangles, longest_side
-from .movable import MovableFile
+from .movable import MovableFile, in_words
 from .output import check_output, write_file
 from .ply import PlyFile, new_ply
-from .reading import read_array, read_bytes, require_memory, shown
+from .reading import is_there, plain, read_array, read_bytes, require_memory, shown
 
 # Files that are written again with other vertices, byte for byte the same otherwise.
 MOVABLE = (".ply", ".glb", ".gltf", ".obj")
@@ -33,8 +36,17 @@ ADVICE = {
     **dict.fromkeys((".fbx", ".blend", ".usd", ".usdz", ".dae", ".3ds"), "export it as .glb"),
     ".pcl": "convert it to .pcd or .ply", ".drc": "decode it to .ply: draco_decoder",
 }  # fmt: skip
+# What files of a kind begin with -> their suffixes.
+_MAGIC = {
+    b"ply\n": (".ply",), b"ply\r": (".ply",), b"glTF": (".glb", ".gltf"),
+    b"\x93NUMPY": (".npy",), b"PK\x03\x04": (".npz", ".pt"),
+}  # fmt: skip
 # Written without a file to move: points alone, or with faces where there are some.
 NEW = (".ply", ".npy", ".xyz")
+POINTS_ONLY = (".npy", ".xyz")
+# The points of a COLMAP model, and where a model may lie in a folder.
+COLMAP_POINTS = ("points3D.bin", "points3D.txt")
+MODEL_PLACES = ("", "0", "sparse/0", "sparse", "colmap/sparse/0")
 MOST_COLUMNS = 100  # of a table of points; more are an image
 # Squares of larger coordinates overflow.
 _LARGEST = 1e100
@@ -52,10 +64,11 @@ class PointCloud:
     # Set if the file can be written again with other coordinates.
     source: MovableFile | None = field(default=None, repr=False)
     triangles: Indices | None = field(default=None, repr=False)  # of a mesh without ``source``
+    rgb: Array | None = field(default=None, repr=False)  # colours [N, 3] without ``source``
 
     def colours(self) -> Array:
         """Red, green and blue [N, 3] of the points, in [0, 1]; InputError if there are none."""
-        colours = self.source.read_colours() if self.source else None
+        colours = self.source.read_colours() if self.source else self.rgb
         if colours is None:
             raise InputError(
                 f"{self.path}: its points have no colours, "
@@ -84,6 +97,7 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     - .off, .stl : a mesh;
     - .npy, .npz, .pt : an array [N, 3] or [1, N, 3]; further columns are left out;
     - .xyz, .txt, .csv, .pts, .pcd : a table with x, y and z;
+    - points3D.txt or points3D.bin of COLMAP, or the folder of its model : with colours;
     - others : by a reader that another package registers (`plugins`).
 
     Raises InputError if the file cannot be read, holds no point, or holds a coordinate that is not
@@ -91,8 +105,9 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
     """
     path = Path(path)
     suffix = path.suffix.lower()
+    model = colmap_points(path)
     plugin = None
-    if suffix not in SUFFIXES and not path.is_dir():
+    if model is None and suffix not in SUFFIXES and not path.is_dir():
         from .plugins import readers
 
         plugin = readers().get(suffix)
@@ -101,9 +116,19 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
             raise InputError(
                 f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
             )
-    data = read_bytes(path, "a point cloud")
+    data = read_bytes(model or path, "a point cloud")
+    for start, own in _MAGIC.items():
+        if model is None and data.startswith(start) and suffix in SUFFIXES and suffix not in own:
+            raise InputError(
+                f"{path}: holds a {own[0]} file, by its content, expected {suffix}; rename it"
+            )
     try:
-        if plugin is not None:
+        if model is not None:
+            from .point_tables import read_colmap
+
+            points, rgb = read_colmap(data, model, BYTES_PER_POINT)
+            cloud = PointCloud(points, path, rgb=rgb)
+        elif plugin is not None:
             from .plugins import read_with
 
             values, faces = read_with(plugin, data, path)
@@ -125,7 +150,7 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
         elif suffix in ARRAYS:
             from .archives import arrays_of
 
-            cloud = _of_arrays(arrays_of(data, path), path)
+            cloud = _of_arrays(arrays_of(data, path, check=_memory_check(path)), path)
         else:
             from .point_tables import read_points
 
@@ -134,6 +159,16 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
         raise InputError(f"{path}: does not fit into memory") from None
     _check(cloud.points, path, extended)
     return cloud
+
+
+def colmap_points(path: Path) -> Path | None:
+    """The file of the points of a COLMAP model: ``path``, or in the folder ``path``; else None."""
+    if path.name in COLMAP_POINTS:
+        return path
+    if path.suffix.lower() in SUFFIXES:
+        return None
+    places = [path / below / name for below in MODEL_PLACES for name in COLMAP_POINTS]
+    return next(filter(is_there, places), None)
 
 
 def _movable(suffix: str, data: bytes, path: Path) -> MovableFile:
@@ -165,7 +200,8 @@ def write_cloud(
 
     Otherwise the type of the coordinates is ``dtype``, or the precision of ``like``. If neither is
     given, it is float32 as long as rounding moves no point by over a millionth of the cloud's
-    longest side. A .ply file gets the faces of ``like``.
+    longest side. A .ply file gets the faces and colours of ``like``, and its normals if no point
+    moved. A warning names what else the file of ``like`` holds.
 
     Raises InputError if ``path`` has another suffix or cannot be written, or if ``points`` and
     ``like`` differ in number; TsoError if a coordinate is not finite or too large for its type.
@@ -192,12 +228,43 @@ def write_cloud(
                 f"{path}: the {stale} are those of {like.path}, before the points moved",
                 stacklevel=2,
             )
+        _warn_of_files(path, like, data)
     else:
         rounding, extent = _rounding(points)
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         chosen = dtype or (like.precision if like is not None else precise)
         data = _new_file(suffix, points, chosen, like)
     write_file(path, data, overwrite)
+
+
+def _warn_of_files(path: Path, like: PointCloud, data: bytes) -> None:
+    """Warn if ``data`` names a file that lies next to the input, and not next to ``path``."""
+    assert like.source is not None
+    for name in like.source.files_named(data):
+        file = Path(name.replace("\\", "/"))
+        if is_there(like.path.parent / file) and not is_there(path.parent / file):
+            warnings.warn(
+                f"{path}: names {plain(name)}, which is not in {path.parent}; copy it there, or "
+                f"write {like.path.parent / path.name} instead",
+                stacklevel=3,
+            )
+            return
+
+
+def warn_of_losses(like: PointCloud, suffix: str, kept: Iterable[str] = ()) -> None:
+    """Warn of what the file of ``like`` holds and a new file of ``suffix`` does not.
+
+    ``kept`` names what does go into the new file, besides points and faces.
+    """
+    held = like.source.held if like.source else ["colours"] if like.rgb is not None else []
+    if suffix in POINTS_ONLY and like.faces() is not None:
+        held = ["faces", *held]
+    if lost := in_words(name for name in held if name not in kept):
+        own = like.source.suffix if like.source else ".ply"
+        warnings.warn(
+            f"{like.path}: its {lost} do not go into {suffix}; write {own} to keep them",
+            stacklevel=3,
+        )
 
 
 def check_rounding(path: Path, points: Array, where: str, advice: str) -> None:
@@ -242,26 +309,42 @@ def check_suffix(path: Path, own: str = "") -> None:
     allowed = list(dict.fromkeys([*([own] if own else []), *NEW]))
     if path.suffix.lower() not in allowed:
         raise InputError(
-            f"{path}: the suffix is {path.suffix!a}, expected {' or '.join(allowed)} for a point "
-            "cloud to write"
+            f"{path}: the suffix is {path.suffix!a}, expected {' or '.join(allowed)} for the "
+            "points or mesh to write; for others, convert one of these: tso convert"
         )
 
 
 def _new_file(suffix: str, points: Array, dtype: str, like: PointCloud | None) -> bytes:
     if suffix == ".ply":
-        if like is not None and like.source is not None and like.source.lost_in_ply:
-            warnings.warn(
-                f"{like.path}: its {like.source.lost_in_ply} do not go into a .ply; write "
-                f"{like.source.suffix} to keep them",
-                stacklevel=3,
-            )
-        return new_ply(points, dtype, like.faces() if like is not None else None)
+        if like is None:
+            return new_ply(points, dtype)
+        source, colours, normals = like.source, None, None
+        with suppress(InputError):  # what cannot be read is lost
+            colours = source.read_colours() if source else like.rgb
+        still = source is not None and np.array_equal(points, like.points)
+        # Normals of a surface that has moved are wrong.
+        with suppress(InputError):
+            normals = source.read_normals() if source and still else None
+        if source:
+            found = {"colours": colours, "normals": normals}
+            warn_of_losses(like, suffix, [key for key, one in found.items() if one is not None])
+        return new_ply(points, dtype, like.faces(), normals, colours)
     values = points.astype(np.float32 if dtype == "float32" else np.float64)
     if suffix == ".npy":
         stream = io.BytesIO()
         np.save(stream, values)
         return stream.getvalue()
     return "".join(f"{x} {y} {z}\n" for x, y, z in values.astype("S32").astype(str)).encode()
+
+
+def _memory_check(path: Path) -> Callable[[tuple[int, ...]], None]:
+    """Refuses points [..., N, 3] that would not fit into memory."""
+
+    def check(shape: tuple[int, ...]) -> None:
+        if shape[-1:] == (3,):
+            require_memory(path, BYTES_PER_POINT * math.prod(shape[:-1]))
+
+    return check
 
 
 # Names of the array of points in .npz and .pt files, and of the faces.

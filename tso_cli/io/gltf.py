@@ -37,9 +37,11 @@ from .gltf_scene import (
     with_bounds,
     with_uri,
 )
-from .movable import MovableFile, in_words
+from .movable import MovableFile
 from .reading import plain, read_bytes, require_memory
 
+# What stands for 1 in colours of whole numbers.
+_FULL = {"u1": 255.0, "u2": 65535.0}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSED = {
     "KHR_draco_mesh_compression": "Draco", "EXT_meshopt_compression": "meshopt",
@@ -74,8 +76,15 @@ class _Primitive:
 
     part: _Part
     triangles: Indices
-    normal: int | None
-    tangent: int | None
+    attributes: dict[str, Any]  # names of values of the vertices -> accessors
+
+    @property
+    def normal(self) -> int | None:
+        return self.attributes.get("NORMAL")
+
+    @property
+    def tangent(self) -> int | None:
+        return self.attributes.get("TANGENT")
 
 
 class GltfFile(Checked, MovableFile):
@@ -227,7 +236,7 @@ class GltfFile(Checked, MovableFile):
             triangles = np.stack([first, indices[1:-1], indices[2:]], 1)
         else:
             triangles = np.empty((0, 3), np.int64)  # points and lines
-        return _Primitive(part, triangles, attributes.get("NORMAL"), attributes.get("TANGENT"))
+        return _Primitive(part, triangles, attributes)
 
     def _positions(self, accessor: Any) -> Array:
         values = self._values(accessor, ("VEC3",))
@@ -315,9 +324,45 @@ class GltfFile(Checked, MovableFile):
         joined = np.concatenate(faces) if faces else np.empty((0, 3), np.int64)
         return joined if len(joined) else None
 
+    def read_colours(self) -> Array | None:
+        """Red, green and blue [V, 3] in [0, 1]; None unless all vertices have a colour.
+
+        A texture is multiplied with these colours: then they do not say what is seen.
+        """
+        values = None if self._document.get("textures") else self._of_vertices("COLOR_0", 3, 4)
+        if values is None:
+            return None
+        colours = np.concatenate([v[:, :3] / _FULL.get(v.dtype.str[1:], 1.0) for _, v in values])
+        return colours if ((colours >= 0.0) & (colours <= 1.0)).all() else None
+
+    def read_normals(self) -> Array | None:
+        """The normal of each vertex [V, 3] in the world; None unless all vertices have one."""
+        values = self._of_vertices("NORMAL", 3)
+        if values is None:
+            return None
+        # A node may shear its mesh: normals go by the inverse of the transpose.
+        with np.errstate(all="ignore"):
+            turned = [_as_double(v) @ np.linalg.pinv(part.matrix[:3, :3]) for part, v in values]
+            normals = np.concatenate(turned)
+            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        return normals if np.isfinite(normals).all() else None
+
+    def _of_vertices(self, name: str, *widths: int) -> list[tuple[_Part, NDArray[Any]]] | None:
+        """Each part and its values [V, C] of an attribute; None unless all vertices have one."""
+        found: dict[int, tuple[_Part, NDArray[Any]]] = {}
+        for one in self._primitives:
+            accessor = one.attributes.get(name)
+            if accessor is None:
+                return None
+            values = self._values(accessor, tuple(f"VEC{width}" for width in widths))
+            if len(values) != one.part.count:
+                return None
+            found[one.part.first] = one.part, values
+        return [found[part.first] for part in self._parts]
+
     @property
-    def lost_in_ply(self) -> str:
-        """What of the scene a new .ply has no place for."""
+    def held(self) -> list[str]:
+        """What the scene holds besides vertices and faces."""
         names = self._attributes
         held = {
             "textures": self._document.get("textures"),
@@ -326,7 +371,14 @@ class GltfFile(Checked, MovableFile):
             "colours": "COLOR_0" in names,
             "normals": "NORMAL" in names,
         }
-        return in_words(name for name, there in held.items() if there)
+        return [name for name, there in held.items() if there]
+
+    def files_named(self, data: bytes) -> list[str]:
+        """The pictures and buffers that ``data`` names, a scene as `with_points` gives it."""
+        document = document_of(scene_text(data, self.path)[0], self.path)
+        entries = [one for key in ("images", "buffers") for one in objects_of(self, document, key)]
+        names = [one["uri"] for one in entries if isinstance(one.get("uri"), str)]
+        return [unquote(name) for name in names if name[: len(_DATA)].lower() != _DATA]
 
     def require_movable(self) -> None:
         """Raise InputError if two nodes share vertices, which could not move apart."""

@@ -15,6 +15,7 @@ from ..geometry.arrays import Array
 from ..geometry.rotations import from_quaternion
 from .checked import Checked, kind
 from .output import reason
+from .reading import json_reason
 
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", b"JSON", b"BIN\0"
 MOST_NODES = 100_000
@@ -40,7 +41,8 @@ def scene_text(data: bytes, path: Path) -> tuple[str, bytes]:
             raise ValueError("its second part is not a whole BIN")
         return text, rest[8 : 8 + length]
     except (struct.error, ValueError) as error:
-        raise InputError(f"{path}: is a damaged GLB or glTF ({reason(error)})") from None
+        why = "it ends early" if isinstance(error, struct.error) else reason(error)
+        raise InputError(f"{path}: is a damaged GLB or glTF ({why})") from None
 
 
 def document_of(text: str, path: Path) -> dict[str, Any]:
@@ -48,7 +50,7 @@ def document_of(text: str, path: Path) -> dict[str, Any]:
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is a damaged GLB or glTF ({reason(error)})") from None
+        raise InputError(f"{path}: is a damaged GLB or glTF ({json_reason(error)})") from None
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds {kind(document)}, expected the object of a glTF scene")
     return document
@@ -65,7 +67,7 @@ def objects_of(checked: Checked, document: dict[str, Any], key: str) -> list[dic
 
 
 def memory_of(document: dict[str, Any]) -> int:
-    """About how many bytes the meshes of a scene take, of which each node has its own copy.
+    """About how many bytes the meshes of a scene take; each node has its own copy.
 
     A few bytes of a file can stand for many: an accessor need not hold its values, and many nodes
     can show one mesh. What is damaged counts as nothing; its reader says so.

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import threading
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Floats, Pixels
 from ..geometry.view import LARGEST_DEPTH
 from .output import atomic_output, check_output, reason
-from .reading import read_array, read_bytes, require_memory
+from .reading import is_there, read_array, read_bytes, require_memory
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -31,6 +32,7 @@ FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
 FILE_LIMIT = 1 << 31
 # Standard error is redirected while a TIFF is decoded: one thread at a time.
 _stderr_lock = threading.Lock()
+Known = TypeVar("Known")
 Convert = Callable[["Image.Image", Path], NDArray[Any]]
 WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 _ORIENTATION = 0x0112
@@ -84,24 +86,29 @@ def read_image(path: str | Path, upright: bool = True) -> Pixels:
 
 def orientation(path: Path) -> int:
     """The EXIF orientation of a picture, 1 for an upright one and for other files."""
-    from PIL import Image
-
-    try:
-        with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
-            return int(image.getexif().get(_ORIENTATION, 1))
-    except Exception:  # the reader of the file says what is wrong with it
-        return 1
+    return _of_header(path, lambda image: int(image.getexif().get(_ORIENTATION, 1)), 1)
 
 
 def has_alpha(path: Path) -> bool:
     """Whether a file is a picture with an alpha channel."""
+    return _of_header(
+        path, lambda image: image.mode in WITH_ALPHA or "transparency" in image.info, False
+    )
+
+
+def _of_header(path: Path, read: Callable[[Image.Image], Known], otherwise: Known) -> Known:
+    """What ``read`` says of a picture whose pixels are not decoded; else ``otherwise``."""
     from PIL import Image
 
+    if not is_there(path):  # opening a pipe would wait for its writer
+        return otherwise
     try:
-        with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
-            return image.mode in WITH_ALPHA or "transparency" in image.info
-    except Exception:  # no picture, or no file
-        return False
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with path.open("rb") as stream, Image.open(stream, formats=FORMATS) as image:
+                return read(image)
+    except Exception:  # the reader of the file says what is wrong with it
+        return otherwise
 
 
 def as_colours(image: Image.Image, path: Path) -> Pixels:
@@ -185,8 +192,10 @@ def decoded(
             f"{path}: is not a readable image, expected {what} ({', '.join(FORMATS)})"
         ) from None
     except Image.DecompressionBombError as error:
+        stated = re.search(r"\d+", str(error))
+        found = f"{int(stated[0]):,}" if stated else "too many"
         raise InputError(
-            f"{path}: {reason(error)}; expected at most {PIXEL_LIMIT:,} pixels"
+            f"{path}: has {found} pixels, expected at most {PIXEL_LIMIT:,}; make it smaller"
         ) from None
     # Decoders fail on damaged files in many ways (struct.error, SyntaxError, KeyError, ...).
     except Exception as error:

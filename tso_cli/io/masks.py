@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,11 +16,11 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Bits, Floats
 from ..geometry.view import is_grey_inside
-from .archives import arrays_of
+from .archives import Check, arrays_of
 from .checked import kind
 from .images import FILE_LIMIT, WITH_ALPHA, check_size, decoded, grey_values, to_unit
 from .output import reason
-from .reading import plain, read_array, read_bytes
+from .reading import json_reason, plain, read_array, read_bytes
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -37,6 +38,13 @@ MOST_LISTED = 9
 SUFFIXES = (
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".ppm", ".pgm", ".npy",
     ".npz", ".pt",
+)  # fmt: skip
+# Keys of other files of JSON, and what these are.
+_NO_MASKS = (
+    ({"K"}, "a camera file"), ({"views"}, "a camera file"), ({"frames"}, "a camera file"),
+    ({"shapes", "imagePath"}, "an annotation of LabelMe; export it as COCO (labelme2coco)"),
+    ({"_via_img_metadata"}, "a project of VIA; export its annotations as COCO"),
+    ({"filename", "regions"}, "an annotation of VIA; export it as COCO"),
 )  # fmt: skip
 # How far beyond 0 and 1 interpolation may bring the values of a mask.
 UNDERSHOOT = 0.2
@@ -84,8 +92,13 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
     if suffix == ".npy":
         return _of_array({"": read_array(data, path)}, path, choice)
     if suffix in (".npz", ".pt"):
-        return _of_array(arrays_of(data, path), path, choice)
+        return _of_array(arrays_of(data, path, check=_size_check(path)), path, choice)
     if suffix == ".json":
+        if choice.label is not None:
+            raise InputError(
+                f"{path}: holds segmentations, `label` {plain(choice.label)} chooses one of an "
+                "image of labels; choose one: `mask_index` N"
+            )
         return _of_coco(data, path, choice)
     _refuse_index(path, choice)
     convert = functools.partial(_values, label=choice.label)
@@ -93,7 +106,9 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
 
 
 def masks_in(path: Path) -> list[Path]:
-    """The mask files of a folder in the order of their names; a file is its own list.
+    """The mask files of a folder in the order of their names, 2.png before 10.png.
+
+    A file is its own list.
 
     Raises InputError if a folder holds none.
     """
@@ -101,7 +116,7 @@ def masks_in(path: Path) -> list[Path]:
         return [path]
     files = [
         file
-        for file in sorted(path.iterdir())
+        for file in sorted(path.iterdir(), key=_by_numbers)
         if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file()
     ]
     if not files:
@@ -109,10 +124,28 @@ def masks_in(path: Path) -> list[Path]:
     return files
 
 
+def _size_check(path: Path) -> Check:
+    """Refuses arrays whose two longest sides make no picture that may be read."""
+
+    def check(shape: tuple[int, ...]) -> None:
+        if len(shape) > 1:
+            height, width = sorted(shape)[-2:]
+            check_size(width, height, path)
+
+    return check
+
+
+def _by_numbers(path: Path) -> tuple[list[tuple[str, int]], str]:
+    """Sorts names with their numbers as numbers."""
+    parts = re.findall(r"([^0-9]*)([0-9]*)", path.name)
+    return [(text, int(digits[:1000] or -1)) for text, digits in parts], path.name
+
+
 def _refuse_index(path: Path, choice: MaskChoice) -> None:
     if choice.index is not None:
         raise InputError(
-            f"{path}: is one mask, `mask_index` {choice.index} chooses one of an array of masks"
+            f"{path}: is one mask, `mask_index` {choice.index} chooses one of an array; "
+            "choose one of several labels: `label` N"
         )
 
 
@@ -144,7 +177,13 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
         return _chosen(index, index != 0, path, label, lossy)
     if image.mode in ("1", "L", "F", "I") or image.mode.startswith("I;16"):
         grey = grey_values(image, path)
-        return grey if grey.dtype.kind in "bf" else _chosen(grey, grey, path, label, lossy)
+        if grey.dtype.kind in "bf":
+            return grey
+        chosen = _chosen(grey, grey, path, label, lossy)
+        if chosen is not grey or grey.dtype != np.uint8 or not _is_bright_around(grey):
+            return chosen
+        # A map of probabilities is dark around the object; a photo may have a white background.
+        return _of_photo(grey, (image, image, image), path)
     bands = image.convert("RGB").split()
     brightness = np.asarray(functools.reduce(ImageChops.lighter, bands))
     red, green, blue = (np.asarray(band) for band in bands)
@@ -170,9 +209,7 @@ def _of_photo(
     values = brightness.astype(np.float32) / np.float32(255.0)
     if not is_grey_inside(values, values > 0.5, np.ones(values.shape, bool)):
         return brightness
-    border = np.stack([
-        np.concatenate([b[0], b[-1], b[:, 0], b[:, -1]]) for b in map(np.asarray, bands)
-    ], 1).astype(np.int16)  # fmt: skip
+    border = np.stack([_border(np.asarray(band)) for band in bands], 1).astype(np.int16)
     colour = np.median(border, 0)
     plain_border = (np.abs(border - colour).max(1) <= PLAIN).mean() >= PLAIN_SHARE
     if not plain_border:
@@ -233,6 +270,18 @@ def _chosen(
     return otherwise
 
 
+def _border(values: NDArray[Any]) -> NDArray[Any]:
+    """The pixels along the border of [H, W]."""
+    return np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
+
+
+def _is_bright_around(grey: NDArray[np.uint8]) -> bool:
+    """Whether a picture has one bright grey along its border."""
+    border = _border(grey).astype(np.int16)
+    value = np.median(border)
+    return bool(value > 127 and (np.abs(border - value) <= PLAIN).mean() >= PLAIN_SHARE)
+
+
 def _next_to(pixels: Bits) -> Bits:
     """The pixels [H, W] that touch ``pixels``, as a soft edge does."""
     grown = np.zeros_like(pixels)
@@ -266,8 +315,9 @@ def _which(path: Path, found: dict[int, int], colours: bool, what: str) -> Input
         name = f"{code >> 16},{code >> 8 & 255},{code & 255}" if colours else str(code)
         names.append(f"{name} ({pixels:,} px)")
     more = ", ..." if len(found) > MOST_LISTED else ""
+    form = "R,G,B" if colours else "N"
     return InputError(
-        f"{path}: {what}, expected one of {', '.join(names) or 'none'}{more}: `label` N"
+        f"{path}: {what}, expected one of {', '.join(names) or 'none'}{more}: `label` {form}"
     )
 
 
@@ -296,13 +346,34 @@ def labels_of(codes: NDArray[Any], lossy: bool = False) -> dict[int, int]:
     same &= (middle == codes[1:-1, :-2]) & (middle == codes[1:-1, 2:])
     solid = {int(v): int(n) for v, n in zip(values, sizes, strict=True)
              if np.count_nonzero(same & (middle == v)) >= SOLID * n}  # fmt: skip
-    border = np.concatenate([codes[0], codes[-1], codes[:, 0], codes[:, -1]])
+    border = _border(codes)
     background = 0
     if 0 not in values:
         edge, many = np.unique(border, return_counts=True)
         background = int(edge[many.argmax()])
     solid.pop(background, None)
+    if lossy:
+        return _apart(solid, background)
     return solid
+
+
+def _apart(solid: dict[int, int], background: int) -> dict[int, int]:
+    """The labels of a file with losses: of values close to each other the one of most pixels.
+
+    A photo has many shades, and no label.
+    """
+    labels: dict[int, int] = {}
+    group: list[int] = []
+    for value in [*sorted({*solid, background}), 2 << 24]:  # more than any colour
+        if group and value - group[-1] > LOSSES:
+            if group[-1] - group[0] > 2 * LOSSES:
+                return {}
+            if background not in group:
+                most = max(group, key=lambda one: solid[one])
+                labels[most] = sum(solid[one] for one in group)
+            group = []
+        group.append(value)
+    return labels
 
 
 def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
@@ -310,7 +381,10 @@ def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
     fitting = {name: np.asarray(array) for name, array in arrays.items() if np.ndim(array) >= 2}
     named = [name for name in MASK_NAMES if name in fitting]
     if len(fitting) != 1 and not named:
-        shapes = ", ".join(f"{plain(name)} {list(np.shape(a))}" for name, a in arrays.items())
+        shapes = ", ".join(
+            f"{plain(name) if name else 'an array'} {list(np.shape(a))}"
+            for name, a in arrays.items()
+        )
         raise InputError(
             f"{path}: holds {shapes or 'no array'}, expected one mask [H, W], or one called "
             f"{' or '.join(MASK_NAMES[:2])}"
@@ -400,7 +474,13 @@ def _of_coco(data: bytes, path: Path, choice: MaskChoice) -> Floats:
     try:
         document = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON ({reason(error)}), expected a mask") from None
+        raise InputError(f"{path}: is not JSON ({json_reason(error)}), expected a mask") from None
+    for keys, what in _NO_MASKS:
+        first = document[0] if isinstance(document, list) and document else document
+        if isinstance(first, dict) and first.keys() >= keys:
+            raise InputError(
+                f"{path}: is {what}, expected a mask: a picture, or a segmentation of COCO"
+            )
     pictures: list[dict[str, Any]] = []
     if isinstance(document, dict) and isinstance(document.get("annotations"), list):
         images = document.get("images")

@@ -14,7 +14,13 @@ from .ply_header import parse_header
 from .reading import require_memory, shown
 
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL file
-_COUNTS = re.compile(rb"OFF\s+(?:#[^\n]*\n\s*)*(\d{1,18})\s+(\d{1,18})[^\n]*")
+_GLUED = re.compile(rb"\A(\s*OFF)(?=\d)")
+_COUNTS = re.compile(rb"OFF\s*(?:#[^\n]*\n\s*)*(\d{1,18})\s+(\d{1,18})[^\n]*")
+
+
+def parted(content: bytes) -> bytes:
+    """An OFF file whose first line is OFF alone; files of ModelNet have counts after it."""
+    return _GLUED.sub(rb"\1\n", content, count=1)
 
 
 def check_off(content: bytes, path: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
 from ..signals import waiting_signals
-from .mesh_checks import check_glb, check_off, check_ply, check_stl
+from .mesh_checks import check_glb, check_off, check_ply, check_stl, parted
 from .obj import simplified
 from .output import reason, write_file
 from .ply import new_ply
@@ -160,6 +160,7 @@ def _load_parts(
                 content = simplified(content)
             elif kind in CHECKS:
                 CHECKS[kind](content, path)
+                content = parted(content) if kind == "off" else content
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )

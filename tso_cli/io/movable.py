@@ -46,10 +46,18 @@ class MovableFile(ABC):
         """What is wrong once the points have moved, such as "normals"; "" if nothing is."""
         return ""
 
+    def read_normals(self) -> Array | None:
+        """The normal of each point [N, 3], or None."""
+        return None
+
     @property
-    def lost_in_ply(self) -> str:
-        """What a new .ply of the points and faces has no place for; "" if nothing is lost."""
-        return ""
+    def held(self) -> list[str]:
+        """What the file holds besides points and faces, such as "textures"."""
+        return []
+
+    def files_named(self, data: bytes) -> list[str]:
+        """The files that ``data``, this file with other points, names; relative to its folder."""
+        return []
 
     def require_movable(self) -> None:  # noqa: B027
         """Raise InputError if the file cannot be written with other points."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.normals import rigid_turn, turned_normals
-from .movable import MovableFile, in_words
+from .movable import MovableFile
 from .ply_body import spliced
 from .reading import plain, require_memory
 
@@ -185,16 +185,32 @@ class ObjFile(MovableFile):
             )
         return colours
 
+    def read_normals(self) -> Array | None:
+        """The normal of each vertex [V, 3]; None unless every vertex has exactly one."""
+        used = self._normals >= 0
+        if self._normal_spans is None or not used.any():
+            return None
+        one = np.full(len(self._points), -1)
+        one[self._triangles[used]] = self._normals[used]
+        if (one < 0).any() or (one[self._triangles[used]] != self._normals[used]).any():
+            return None
+        return self._numbers(self._normal_spans)[one]
+
     @property
-    def lost_in_ply(self) -> str:
-        """What of the file a new .ply has no place for."""
+    def held(self) -> list[str]:
+        """What the file holds besides vertices and faces."""
         held = {
             "materials": re.search(rb"^[ \t]*usemtl\b", self._lines, re.MULTILINE),
             "texture coordinates": re.search(rb"^[ \t]*vt\b", self._lines, re.MULTILINE),
             "colours": self._colour_spans is not None,
             "normals": self._normal_spans is not None,
         }
-        return in_words(name for name, there in held.items() if there)
+        return [name for name, there in held.items() if there]
+
+    def files_named(self, data: bytes) -> list[str]:
+        """The .mtl files that the text names."""
+        lines = re.findall(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", data, re.MULTILINE)
+        return [line.decode("utf-8", "replace") for line in lines]
 
     def with_points(self, points: Array) -> bytes:
         """The file with its vertices moved to ``points`` [V, 3]."""

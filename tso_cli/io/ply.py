@@ -22,9 +22,11 @@ from .reading import require_memory, shown
 AXES = ("x", "y", "z")
 COLOURS = ("red", "green", "blue")
 CORNERS = ("vertex_indices", "vertex_index")
-NORMALS = {"nx", "ny", "nz", "normal_x", "normal_y", "normal_z"}
+NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 # What is wrong once the vertices have moved; rotations and scales belong to Gaussian splats.
-STALE_AFTER_MOVING = {"normals": NORMALS, "rotations": {"rot_0"}, "scales": {"scale_0"}}
+STALE_AFTER_MOVING = {
+    "normals": set().union(*NORMALS), "rotations": {"rot_0"}, "scales": {"scale_0"}
+}  # fmt: skip
 # Of Gaussian splats: opacity before the logistic function, and the constant part of the colour.
 OPACITY, CONSTANT_COLOUR = "opacity", ("f_dc_0", "f_dc_1", "f_dc_2")
 # A splat of lower opacity cannot be seen; trainers leave many of them around an object.
@@ -126,6 +128,33 @@ class PlyFile(MovableFile):
             )
         return colours
 
+    def read_normals(self) -> Array | None:
+        """The normals [N, 3] of the vertices; None if the file has none."""
+        found = (self._floats(names) for names in NORMALS)
+        return next((normals for normals in found if normals is not None), None)
+
+    def files_named(self, data: bytes) -> list[str]:
+        """The pictures that the header names, as MeshLab writes it."""
+        lines = data[: self.header.size].splitlines()
+        words = [line.split(maxsplit=2) for line in lines]
+        return [
+            row[2].decode("utf-8", "replace")
+            for row in words
+            if row[:2] == [b"comment", b"TextureFile"] and len(row) > 2
+        ]
+
+    @property
+    def held(self) -> list[str]:
+        """What the file holds besides points and faces."""
+        names = set(self.vertex.properties)
+        normals = set().union(*NORMALS)
+        held = {
+            "colours": not names.isdisjoint(COLOURS),
+            "normals": not names.isdisjoint(normals),
+            "further properties": names - {*AXES, *COLOURS, *normals, "alpha"},
+        }
+        return [name for name, there in held.items() if there]
+
     def _splat_colours(self) -> Array | None:
         values = self._floats(CONSTANT_COLOUR)
         return None if values is None else np.clip(0.5 + HARMONIC * values, 0.0, 1.0)
@@ -210,14 +239,32 @@ class PlyFile(MovableFile):
         return head + self._body.moved(self._places, self.kinds, old, points)
 
 
-def new_ply(points: Array, dtype: str, faces: NDArray[np.integer] | None = None) -> bytes:
+def new_ply(
+    points: Array,
+    dtype: str,
+    faces: NDArray[np.integer] | None = None,
+    normals: Array | None = None,
+    colours: Array | None = None,
+) -> bytes:
     """A binary PLY file of ``points`` [N, 3] and ``faces`` [F, 3].
 
-    ``dtype`` is the type of the coordinates, "float32" or "float64".
+    ``dtype`` is the type of the coordinates, "float32" or "float64". The points may have
+    ``normals`` [N, 3], and ``colours`` [N, 3] in [0, 1].
     """
     kind = "float" if dtype == "float32" else "double"
     lines = [f"element vertex {len(points)}", *(f"property {kind} {axis}" for axis in AXES)]
-    body = points.astype(np.dtype(dtype).newbyteorder("<")).tobytes()
+    columns = [points.astype(np.dtype(dtype).newbyteorder("<"))]
+    if normals is not None:
+        lines += [f"property float {name}" for name in NORMALS[0]]
+        columns.append(normals.astype("<f4"))
+    if colours is not None:
+        lines += [f"property uchar {name}" for name in COLOURS]
+        columns.append(np.rint(colours * 255.0).astype("u1"))
+    if len(columns) == 1:
+        body = columns[0].tobytes()
+    else:
+        rows = [np.ascontiguousarray(column).view("u1") for column in columns]
+        body = np.concatenate(rows, 1).tobytes()
     if faces is not None:
         lines += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
         polygons = np.empty(len(faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import itertools
 import re
+import struct
 import warnings
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +25,8 @@ AXES = ("x", "y", "z")
 # What a column of x is called: plainly, by scanners, and by ParaView.
 _NAMES = ("{0}", "point_{0}", "pos_{0}", "points:{1}", "points_{1}")
 _SEPARATORS = ("\t", ";", ",")  # of a .csv file without blanks between its values
+LONGEST_LINE = 1 << 20  # characters
+_COLMAP_POINT = struct.Struct("<3d")  # x, y and z
 _FIRST_LINES = 10  # of a .csv file, which say what separates its values
 _PCD_TYPES = {
     ("F", 4): "<f4", ("F", 8): "<f8", ("I", 1): "i1", ("I", 2): "<i2", ("I", 4): "<i4",
@@ -32,8 +37,11 @@ _PCD_TYPES = {
 def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
     """The points [N, 3] of a table; InputError if it is damaged or has no x, y and z."""
     suffix = path.suffix.lower()
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(f"{path}: is UTF-16 text, expected UTF-8; save it as CSV UTF-8")
     if suffix == ".pcd":
         return _of_pcd(data, path, bytes_per_point)
+    _refuse_long_lines(data, path)
     if suffix == ".csv":
         require_memory(path, bytes_per_point * data.count(b"\n"))
         return _of_csv(data, path)
@@ -50,18 +58,91 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
     short = table.counts < 3
     if short.any():
         row = int(short.argmax())
+        count = table.counts[row]
         raise InputError(
-            f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, "
-            "expected at least 3, separated by blanks"
+            f"{path}: line {table.numbers[row]} has {count} column{'s' if count > 1 else ''}, "
+            f"expected at least 3, separated by blanks{_of_commas(table, row)}"
         )
     if stated >= 0:
         _check_count(path, len(table.first), stated, "its first line")
     points = table.values(table.first[:, None] + np.arange(3))
     if table.counts.max(initial=3) > 3 and suffix != ".pts":
-        warnings.warn(
-            f"{path}: only the first three of its columns are used, as x y z", stacklevel=4
-        )
+        warn_of_columns(path)
     return points
+
+
+def read_colmap(data: bytes, path: Path, bytes_per_point: int) -> tuple[Array, Array]:
+    """The points [N, 3] of a COLMAP model and their colours [N, 3] in [0, 1].
+
+    A row has a number, x, y, z, red, green and blue, an error, and the track of the point.
+    """
+    if path.suffix.lower() == ".txt":
+        _refuse_long_lines(data, path)
+        require_memory(path, 800 * data.count(b"\n"))
+        table = TextTable(data, path)
+        table.drop_comments()
+        if (table.counts < 8).any():
+            row = int((table.counts < 8).argmax())
+            raise InputError(
+                f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, expected at "
+                "least 8: POINT3D_ID X Y Z R G B ERROR"
+            )
+        values = table.values(table.first[:, None] + np.arange(1, 7))
+        points, colours = values[:, :3], values[:, 3:]
+    else:
+        # A point has 43 bytes and 8 more for each picture of its track.
+        stated = struct.unpack_from("<Q", data)[0] if len(data) >= 8 else 1
+        require_memory(path, bytes_per_point * min(stated, len(data) // 43))
+        coordinates, bytes_of_colours, at = array("d"), bytearray(), 8
+        try:
+            for _ in range(stated):
+                coordinates.extend(_COLMAP_POINT.unpack_from(data, at + 8))
+                bytes_of_colours += data[at + 32 : at + 35]
+                at += 51 + 8 * struct.unpack_from("<Q", data, at + 43)[0]
+        except struct.error:
+            at = len(data) + 1
+        if at != len(data):
+            raise InputError(
+                f"{path}: ends early, or holds more than the {stated:,} points that it states, "
+                "expected a whole points3D.bin; write the model again"
+            )
+        points = np.array(coordinates).reshape(-1, 3)
+        colours = np.frombuffer(bytes(bytes_of_colours), np.uint8).reshape(-1, 3).astype(np.float64)
+    if not ((colours >= 0.0) & (colours <= 255.0)).all():
+        raise InputError(
+            f"{path}: its colours span {colours.min():g} to {colours.max():g}, expected 0 to 255"
+        )
+    return points, colours / 255.0
+
+
+def _refuse_long_lines(data: bytes, path: Path) -> None:
+    """Raise InputError at a line that is too long for a point: it would take gigabytes."""
+    for begin in range(0, len(data) - LONGEST_LINE + 1, LONGEST_LINE):
+        end = begin + LONGEST_LINE
+        if data.find(b"\n", begin, end) < 0 and data.find(b"\r", begin, end) < 0:
+            raise InputError(
+                f"{path}: a line has over {LONGEST_LINE:,} characters, expected a line for each "
+                "point"
+            )
+
+
+def _of_commas(table: TextTable, row: int) -> str:
+    """The advice for a line whose values are separated by commas."""
+    start = table.starts[table.first[row]]
+    line = table.data[start : start + 200].splitlines()[0]
+    return "; rename it to .csv, for commas" if line.count(b",") > 1 else ""
+
+
+def warn_of_columns(path: Path) -> None:
+    warnings.warn(f"{path}: only the first three of its columns are used, as x y z", stacklevel=5)
+
+
+class _Header(NamedTuple):
+    """columns : of x, y and z. first : the first row, if it has numbers. most : cells of a row."""
+
+    columns: tuple[int, int, int]
+    first: list[list[str]]
+    most: int
 
 
 def _check_count(path: Path, found: int, stated: float, where: str) -> None:
@@ -85,11 +166,16 @@ def _of_csv(data: bytes, path: Path) -> Array:
     number = float if data.isascii() and b"_" not in data else _number
     values = array("d")
     try:
-        columns, first = _header(rows, path)
+        columns, first, named = _header(rows, path)
         begin, middle, end = columns
         for row in itertools.chain(first, rows):
             if not row or row[0].startswith("#"):
                 continue
+            if len(row) > named and any(row[named:]):
+                raise InputError(
+                    f"{path}: line {rows.line_num} has {len(row)} values, its header {named}, "
+                    "expected as many; if commas are decimal, separate values with semicolons"
+                )
             try:
                 values.extend((number(row[begin]), number(row[middle]), number(row[end])))
             except (ValueError, IndexError):
@@ -112,15 +198,15 @@ def _separator(data: bytes) -> str:
     return next((s for s in _SEPARATORS if all(s.encode() in line for line in lines)), " ")
 
 
-def _header(rows: Iterator[list[str]], path: Path) -> tuple[tuple[int, int, int], list[list[str]]]:
-    """The columns of x, y and z, and the first row if that has numbers."""
+def _header(rows: Iterator[list[str]], path: Path) -> _Header:
+    """The columns of a .csv file, by the names in its header or else the first three."""
     for row in rows:
         names = [cell.strip(" \"'/#").lower() for cell in row]
         for form in _NAMES:
             wanted = [form.format(axis, place) for place, axis in enumerate(AXES)]
             if all(names.count(name) == 1 for name in wanted):
                 x, y, z = map(names.index, wanted)
-                return (x, y, z), []
+                return _Header((x, y, z), [], len(row))
         if not any(row) or row[0].startswith("#"):
             continue
         if re.search(r"[a-df-z]", " ".join(names[:3])):
@@ -128,8 +214,10 @@ def _header(rows: Iterator[list[str]], path: Path) -> tuple[tuple[int, int, int]
                 f"{path}: its columns are {plain(', '.join(names))}, expected x, y and z; name "
                 "these columns so"
             )
-        return (0, 1, 2), [row]
-    return (0, 1, 2), []
+        if len(row) > 3 and any(row[3:]):
+            warn_of_columns(path)
+        return _Header((0, 1, 2), [row], LONGEST_LINE)
+    return _Header((0, 1, 2), [], LONGEST_LINE)
 
 
 def _number(cell: str) -> float:
@@ -148,6 +236,8 @@ def _wrong_row(path: Path, line: int, row: list[str], columns: tuple[int, ...]) 
         except ValueError:
             cell = row[place].strip()
             found = f"{shown(cell) if cell else 'an empty cell'} as {axis}"
+            if cell.count(".") > 1:
+                found += " (commas are decimal, so it has several points)"
             break
     return InputError(
         f"{path}: line {line} has {found}, expected a number such as 0.5 or 1e-3; "

@@ -60,6 +60,14 @@ def read_bytes(path: Path, expected: str, limit: int | None = None, most: int = 
         raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
 
 
+def is_there(file: Path) -> bool:
+    """Whether a file that another file names exists; its name may be impossible."""
+    try:
+        return file.is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def require_memory(path: Path, needed: int) -> None:
     """Raise InputError unless ``needed`` bytes of memory are free for what is in ``path``."""
     if needed > (free := free_memory()):
@@ -96,10 +104,15 @@ def read_json(
     """
     try:
         return json.loads(read_bytes(path, expected, limit), object_pairs_hook=build)
-    except RecursionError:
-        raise InputError(f"{path}: is not JSON (nested too deep), expected {form}") from None
-    except ValueError as error:
-        raise InputError(f"{path}: is not JSON ({reason(error)}), expected {form}") from None
+    except (RecursionError, ValueError) as error:
+        raise InputError(f"{path}: is not JSON ({json_reason(error)}), expected {form}") from None
+
+
+def json_reason(error: BaseException) -> str:
+    """Why a text is no JSON, as `reason`; of very long numbers Python gives advice on Python."""
+    if isinstance(error, RecursionError):
+        return "nested too deep"
+    return "a number has thousands of digits" if "set_int_max" in str(error) else reason(error)
 
 
 def shown(value: object) -> str:

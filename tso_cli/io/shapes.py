@@ -26,7 +26,7 @@ from ..errors import InputError, prefixed
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import sample_surface
 from .clouds import SUFFIXES as CLOUD_SUFFIXES
-from .clouds import read_cloud
+from .clouds import colmap_points, read_cloud
 from .meshes import read_mesh
 from .ply_header import HEADER_LIMIT
 from .reading import read_array, read_bytes, require_memory, shown
@@ -45,6 +45,8 @@ _NPY_GRID = re.compile(
 def shape_kind(path: Path) -> str:
     """What the file ``path`` is read as: "cloud", "mesh" or "voxels"; unreadable files: "cloud"."""
     suffix = path.suffix.lower()
+    if colmap_points(path) is not None:
+        return "cloud"
     if suffix not in SUFFIXES and not path.is_dir():
         from .plugins import readers
 

@@ -79,7 +79,7 @@ class CameraOrigin:
 
     def __str__(self) -> str:
         if self.file is None:
-            return f"canonical {NO_FILE}"
+            return "; ".join([f"canonical {NO_FILE}", *self.notes])
         more = [text for text in (self.words, self.view, *self.notes) if text]
         return f"{self.file} ({'; '.join(more)})" if more else str(self.file)
 
@@ -93,7 +93,9 @@ def summary_of(origins: Sequence[CameraOrigin]) -> str:
     """Where the cameras of all views are from, in few words."""
     if len(origins) == 1:
         (origin,) = origins
-        return f"camera {origin}" if origin.file else f"canonical camera {NO_FILE}"
+        if origin.file is None:
+            return "; ".join([f"canonical camera {NO_FILE}", *origin.notes])
+        return f"camera {origin}"
     files = list(dict.fromkeys(str(origin.file) for origin in origins))
     named = ", ".join(files) if len(files) < 3 else f"{len(files)} files"
     more = list(dict.fromkeys(text for o in origins for text in (o.words, *o.notes) if text))
@@ -193,7 +195,10 @@ def with_intrinsics(
     view = views[0] if len(views) == 1 else paired(file, views, [mask])[0][0]
     if view.intrinsics is None:
         raise InputError(f"{file}: has no focal length, expected K for `intrinsics`")
-    return replace(camera, intrinsics=view.intrinsics, size=view.size, distortion=view.distortion)
+    return replace(
+        camera, intrinsics=view.intrinsics, size=view.size, distortion=view.distortion,
+        sized_by=file,
+    )  # fmt: skip
 
 
 def _read_view(

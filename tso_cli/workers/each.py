@@ -1,4 +1,4 @@
-"""Many pieces of work on any executor, each of which ends with a result or an error."""
+"""Many pieces of work on any executor; each ends with a result or an error."""
 
 from __future__ import annotations
 
@@ -46,6 +46,7 @@ def each(
     *,
     last: Iterable[Job] = (),
     on_start: Callable[[Job, int], None] = lambda job, deaths: None,
+    on_return: Callable[[Job], None] = lambda job: None,
     stopping: Callable[[], bool] = lambda: False,
     task_seconds: float = 0.0,
 ) -> Iterator[Ended[Job]]:
@@ -61,6 +62,7 @@ def each(
     window : how many tasks are with the executor at once. ``jobs`` is read no further.
     last : jobs that are done at the end, each alone, as if they had killed two processes.
     on_start : called with a job and its deaths before it is given to the executor.
+    on_return : called with a job that the executor gives back without having begun it.
     stopping : once it is true, no job begins; the jobs at work end.
     task_seconds : jobs are sent together so that a task takes about so long, as the tasks before
         it (`MOST_IN_A_TASK` jobs at most).
@@ -109,9 +111,11 @@ def each(
                 results, seconds = future.result()
                 pace.add(seconds, len(task.jobs))
             except CancelledError:
+                for job in task.jobs:
+                    on_return(job)
                 continue
             except BaseException as error:
-                if not _is_death(error):
+                if not is_death(error):
                     yield from (Ended(job, None, error, task.deaths) for job in task.jobs)
                 elif task.deaths == 2:
                     yield from (Ended(job, None, error, task.deaths + 1) for job in task.jobs)
@@ -153,7 +157,8 @@ def _all(
     return ended, time.perf_counter() - begun
 
 
-def _is_death(error: BaseException) -> bool:
+def is_death(error: BaseException) -> bool:
+    """Whether a process died, and perhaps not because of the job that it had."""
     return isinstance(error, BrokenExecutor) or type(error).__name__ == _KILLED
 
 

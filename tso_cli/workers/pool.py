@@ -94,6 +94,8 @@ class WorkerPool(Executor):
         with suppress(queue.Empty):
             while (job := self._jobs.get_nowait()) is not None:
                 job[0].cancel()
+                # Only this wakes those who wait for the future.
+                job[0].set_running_or_notify_cancel()
 
     def _serve(self, child: _Child) -> None:
         while (job := self._jobs.get()) is not None:

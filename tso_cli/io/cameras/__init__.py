@@ -2,31 +2,78 @@
 
 from __future__ import annotations
 
+import os
+import warnings
+from functools import lru_cache
 from pathlib import Path
 
 from ...errors import InputError
 from ...geometry.camera import Camera
 from ..images import has_alpha
+from ..reading import is_there
+from . import of_bop
 from .formats import FORMATS, read_partial_cameras, words_of
 from .matching import paired
-from .record import CameraRecord, PartialCamera, is_there, of_pixels, same_shape
+from .record import CameraRecord, PartialCamera, of_pixels, same_shape
+from .source import CameraSource
 from .write import camera_text, write_cameras
 
 # Files that are looked for next to a mask, after MASKSTEM.camera.json.
 USUAL_NAMES = ("camera.json", "cameras.json", "transforms.json")
+# Files that are looked for one folder above the mask, where data sets have them.
+NAMES_ABOVE = (
+    "transforms.json", "transforms_train.json", "transforms_val.json", "transforms_test.json",
+    "scene_camera.json", "cameras.json",
+)  # fmt: skip
 
 
 def find_camera(mask_path: Path) -> Path | None:
     """The camera file in the folder of a mask, or None.
 
     That is the first of ``MASKSTEM.camera.json``, ``camera.json``, ``cameras.json`` (as
-    `tso render` names it) and ``transforms.json`` that exists.
+    `tso render` names it) and ``transforms.json`` that exists; or else the first of `NAMES_ABOVE`,
+    one folder above, with a view that names the mask.
     """
     for name in (f"{mask_path.stem}.camera.json", *USUAL_NAMES):
         path = mask_path.with_name(name)
         if path.is_file():
             return path
+    folder = mask_path.parent
+    plain = folder.name not in ("", "..") and not folder.is_symlink()
+    above = folder.parent if plain else folder / ".."
+    for name in NAMES_ABOVE:
+        path = above / name
+        if is_there(path) and _names(path, mask_path):
+            return path
     return None
+
+
+def _names(path: Path, mask: Path) -> bool:
+    """Whether a view of the camera file ``path`` names the file ``mask``."""
+    try:
+        files = _files_named(path, path.stat().st_mtime_ns)
+    except (InputError, OSError):  # a file that nobody named may be anything
+        return False
+    picture, _, entry = mask.stem.partition("_")
+    return os.path.realpath(mask) in files or (entry.isdecimal() and f"{path}/{picture}" in files)
+
+
+@lru_cache(maxsize=8)
+def _files_named(path: Path, changed: int) -> frozenset[str]:
+    """The masks and pictures that the views of a file name, as it was when it was ``changed``."""
+    if path.name == of_bop.CAMERAS:
+        # Masks of BOP are called PICTURE_ENTRY; which object is meant is not known yet.
+        pictures = CameraSource(path).json
+        numbers = pictures if isinstance(pictures, dict) else ()
+        return frozenset(f"{path}/{number:0>6}" for number in numbers if number.isdecimal())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        views, _ = read_partial_cameras(path)
+    found: set[str] = set()
+    for view in views:
+        for file in filter(None, (view.mask, view.image)):
+            found.update(map(os.path.realpath, _files_of(file)))
+    return frozenset(found)
 
 
 def read_cameras(path: str | Path) -> list[CameraRecord]:
@@ -74,6 +121,12 @@ def named_masks(
     masks = []
     for number, view in enumerate(views):
         mask = view.mask or _with_alpha(view.image)
+        image = view.image
+        if mask is None and image is not None and not any(map(is_there, _files_of(image))):
+            raise InputError(
+                f"{path}: views[{number}] of {len(views)} names {image}, which does not exist, "
+                "expected a picture with an alpha channel; or give MASK arguments"
+            )
         if mask is None:
             raise InputError(
                 f"{path}: views[{number}] of {len(views)} names no mask, expected a mask or a "
@@ -85,5 +138,10 @@ def named_masks(
 
 def _with_alpha(image: Path | None) -> Path | None:
     """The file of a picture with an alpha channel; NeRF's files name pictures without ".png"."""
-    files = [] if image is None else [image, image.with_name(f"{image.name}.png")]
+    files = [] if image is None else _files_of(image)
     return next((file for file in files if has_alpha(file)), None)
+
+
+def _files_of(image: Path) -> list[Path]:
+    """What the file of a picture may be called."""
+    return [image, image.with_name(f"{image.name}.png")]

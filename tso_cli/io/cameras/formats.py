@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
+from ..reading import is_there
 from .record import PartialCamera
-from .source import EXPECTED, CameraSource
+from .source import COLMAP_FILES, EXPECTED, CameraSource, has_keys
 
 # Name for `camera_format` -> what it is, and where it may be found: "json", "text", "yaml", "zip"
 # (.npz and .pt), "npy", "glb" or "folder". Tried in this order.
@@ -34,8 +35,10 @@ FORMATS = {
 NOT_READ = (
     (rb"SQLite format 3", "a COLMAP database, which holds no poses; use the model: a folder with "
      "cameras.bin and images.bin"),
-    (rb"NVM_V3", "a VisualSFM model; convert it: colmap model_converter, or export a COLMAP model"),
-    (rb"# Bundle file", "a Bundler model; convert it: export a COLMAP model"),
+    (rb"NVM_V3", "a VisualSFM model, which tso does not read; reconstruct the pictures with "
+     "COLMAP, or store K, R and t with numpy.savez"),
+    (rb"# Bundle file", "a Bundler model, which tso does not read; reconstruct the pictures with "
+     "COLMAP, or store K, R and t with numpy.savez"),
     (rb"\s*(<\?xml[^>]*>)?\s*<document", "a Metashape file; export cameras as COLMAP or "
      "as a transforms.json"),
     (rb"BLENDER", "a Blender file; export the scene with its cameras as .glb"),
@@ -43,6 +46,15 @@ NOT_READ = (
     (rb"MATLAB 5.0", "a MATLAB file; store K, R and t with numpy.savez"),
     (rb"\x89HDF", "an HDF5 file; store K, R and t with numpy.savez"),
     (rb"\x80[\x02-\x05]", "a pickle, which can run code; store K, R and t with numpy.savez"),
+)  # fmt: skip
+
+# And of JSON, by the keys of the document or of the first entry of its list.
+NOT_READ_JSON = (
+    ({"cameras", "shots"}, "a reconstruction of OpenSfM; export it for COLMAP: opensfm "
+     "export_colmap"),
+    ({"sfm_data_version"}, "a scene of OpenMVG; export it for COLMAP: openMVG_main_openMVG2Colmap"),
+    ({"views", "intrinsics", "poses"}, "a scene of Meshroom; export it for COLMAP: the node "
+     "ExportColmap, or aliceVision_exportColmap"),
 )  # fmt: skip
 
 
@@ -107,6 +119,12 @@ def _recognised(source: CameraSource) -> tuple[str, Any]:
         if re.match(pattern, source.data):
             raise InputError(f"{source.path}: is {advice}")
     container = source.container
+    if container == "json":
+        document = source.json
+        first = document[0] if isinstance(document, list) and document else document
+        for keys, advice in NOT_READ_JSON:
+            if has_keys(first, keys):
+                raise InputError(f"{source.path}: is {advice}")
     for name, (_, containers) in FORMATS.items():
         if container in containers.split():
             module = _module(name)
@@ -122,7 +140,24 @@ def _recognised(source: CameraSource) -> tuple[str, Any]:
     if container == "json" or source.path.suffix.lower() == ".json":
         # Its reader says what is wrong with the file, in the terms of tso's own format.
         return "tso", _module("tso")
+    if source.is_folder:
+        raise _without_cameras(source.path)
     raise InputError(
         f"{source.path}: is no camera file that tso knows, expected one of: "
         f"{', '.join(FORMATS)} (`camera_format`)"
+    )
+
+
+def _without_cameras(folder: Path) -> InputError:
+    """The error of a folder without a camera file; it may hold a part of a COLMAP model."""
+    found = [name for name in COLMAP_FILES if is_there(folder / name)]
+    for missing in ("cameras", "images"):
+        if found and not any(name.startswith(missing) for name in found):
+            return InputError(
+                f"{folder}: holds {found[0]}, and {missing}.txt or {missing}.bin is missing, "
+                "expected a COLMAP model: cameras and images"
+            )
+    return InputError(
+        f"{folder}: is a folder without a camera file, expected a COLMAP model (cameras and "
+        "images), transforms.json or scene_camera.json"
     )

@@ -47,8 +47,9 @@ def paired(
         alike = naming or [i for i, other in enumerate(views) if _same_stem(other, mask)]
         if alike and number not in alike:
             raise InputError(
-                f"{path}: the mask {mask} is named by views[{alike[0]}] and given at place "
-                f"{number}, expected the same order, or masks that are all named like their views"
+                f"{path}: the mask {mask} is named like view {alike[0] + 1} of {len(views)} and is "
+                f"mask {number + 1}, expected the order of the views; give the masks in this "
+                "order, or name all of them like their views"
             )
         if not naming and view.mask is not None:
             warnings.warn(
@@ -60,26 +61,69 @@ def paired(
 
 
 def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path]) -> InputError:
+    seen: dict[str, Path] = {}
     for mask in masks:
+        if os.path.realpath(mask) in seen:
+            return InputError(f"{mask}: is given twice, expected one mask for each view")
+        seen[os.path.realpath(mask)] = mask
         alike = [view for view in views if _same_stem(view, mask)]
         if len(alike) > 1:
-            fitting = " and ".join(_end_of(_names_of(view)[0]) for view in alike[:2])
-            return InputError(
-                f"{path}: the name of the mask {mask} is ambiguous: it fits {len(alike)} views, "
-                f"{fitting}, expected one; put it into a folder named like that of its picture"
-            )
-    names = [view.label for view in views[:_LISTED]]
-    more = ", ..." if len(views) > _LISTED else ""
-    listed = f"{', '.join(names)}{more}"
-    if len(masks) == 1:
+            return _ambiguous(path, mask, alike)
+    listed = ", ".join(map(_name_of, views[:_LISTED])) + (", ..." if len(views) > _LISTED else "")
+    several = f"{len(views)} view{'s' if len(views) > 1 else ''} ({listed})"
+    if not any(_names_of(view) for view in views):
         return InputError(
-            f"{path}: none of its {len(views)} views ({listed}) names the mask {masks[0]}, "
-            "expected one; name the mask like the picture of its view"
+            f"{path}: holds {several}, which name no pictures, found {len(masks)} "
+            f"mask{'s' if len(masks) > 1 else ''}; expected as many; give a mask for each view, in "
+            "their order"
         )
+    for mask in masks:
+        if not any(_same_stem(view, mask) for view in views):
+            picture = stem(mask.name).rpartition("_")[0]
+            if of_picture := [view for view in views if picture in view.names]:
+                return InputError(
+                    f"{path}: the mask {mask} is of another object of its picture, expected "
+                    f"{of_picture[0].names[0]}; choose the object of the mask: `object` ID"
+                )
+            return InputError(
+                f"{path}: none of its {several} names the mask {mask}, expected one; name the mask "
+                f"like {_like(views[0])}"
+            )
+    for view in views:
+        of_view = [str(mask) for mask in masks if _same_stem(view, mask)]
+        if len(of_view) > 1:
+            return InputError(
+                f"{path}: the masks {' and '.join(of_view[:2])} are both named like the view "
+                f"{_name_of(view)}, expected one mask for each view"
+            )
     return InputError(
-        f"{path}: holds {len(views)} view{'s' if len(views) > 1 else ''} ({listed}), found "
-        f"{len(masks)} masks; expected as many, or masks named like the pictures of the views"
+        f"{path}: holds {several}, found {len(masks)} masks; expected as many, or masks named like "
+        "the pictures of the views"
     )
+
+
+def _like(view: PartialCamera) -> str:
+    """What a mask may be named like."""
+    if view.mask or view.image:
+        return "the picture of its view"
+    return f"its view, such as {plain(view.names[0] if view.names else view.title)}.png"
+
+
+def _ambiguous(path: Path, mask: Path, alike: Sequence[PartialCamera]) -> InputError:
+    """The error of a mask whose name fits several views."""
+    names = [_end_of(_names_of(view)[0]) for view in alike[:2]]
+    advice = "put it into a folder named like that of its picture"
+    if all("/" not in name for name in names):
+        advice = f"name it like its view: {names[0]}{mask.suffix}"
+    return InputError(
+        f"{path}: the name of the mask {mask} is ambiguous: it fits {len(alike)} views, "
+        f"{' and '.join(names)}, expected one; {advice}"
+    )
+
+
+def _name_of(view: PartialCamera) -> str:
+    """The file that a view names, or another name by which a mask may choose it, or its title."""
+    return view.label if view.mask or view.image or not view.names else plain(view.names[0])
 
 
 def _end_of(name: str) -> str:

@@ -17,11 +17,11 @@ from ...errors import InputError
 from ...geometry.arrays import Array
 from ...geometry.distortion import Distortion
 from ...geometry.rotations import from_quaternion
-from ..reading import plain, shown
-from .record import PartialCamera, is_there, matrix_of, of_pixels
+from ..clouds import MODEL_PLACES
+from ..reading import is_there, plain, shown
+from .record import PartialCamera, matrix_of, of_pixels
 from .source import COLMAP_FILES, CameraSource
 
-_BELOW = ("", "sparse/0", "sparse", "colmap/sparse/0")  # where a model may lie in a folder
 # Number, name and how many parameters, of the models in COLMAP's models.h.
 _MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
@@ -87,7 +87,7 @@ def read(source: CameraSource) -> list[PartialCamera]:
             for number, lens in _lenses(path).items()]  # fmt: skip
 
 
-def _model_in(folder: Path, places: tuple[str, ...] = _BELOW) -> _Model | None:
+def _model_in(folder: Path, places: tuple[str, ...] = MODEL_PLACES) -> _Model | None:
     """The files of the model in one of the ``places``; COLMAP too reads binary ones first."""
     pairs = [(".bin", ".bin"), (".txt", ".txt"), (".bin", ".txt"), (".txt", ".bin")]
     for below in places:

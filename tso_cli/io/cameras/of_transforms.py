@@ -7,12 +7,13 @@ for all frames or in each frame.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
 from ...geometry.distortion import Distortion
 from ..checked import kind
-from ..reading import shown
+from ..reading import is_there, shown
 from .own import named_file
 from .record import (
     OPENGL,
@@ -26,12 +27,13 @@ from .record import (
 from .source import CameraSource
 
 FILE = "transforms.json"
+PARTS = "transforms_*.json"  # such as transforms_train.json
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV_FISHEYE", "perspective")
 
 
 def recognises(source: CameraSource) -> bool:
     if source.is_folder:
-        return (source.path / FILE).is_file()
+        return bool(_files_in(source.path))
     document = source.json
     frames = document.get("frames") if isinstance(document, dict) else None
     return (
@@ -44,13 +46,22 @@ def recognises(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     if source.is_folder:
-        source = CameraSource(source.path / FILE)
+        files = _files_in(source.path)
+        if len(files) != 1:
+            names = " and ".join(file.name for file in files) or "no transforms.json"
+            raise InputError(f"{source.path}: holds {names}, expected one; name the file itself")
+        source = CameraSource(files[0])
     document = source.json
     frames = document.get("frames") if isinstance(document, dict) else None
     if not isinstance(frames, list):
         raise source.error("frames", kind(frames), "a list of frames with transform_matrix")
     shared = {key: value for key, value in document.items() if key != "frames"}
     return [_view(source, f"frames[{i}]", shared, frame) for i, frame in enumerate(frames)]
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """transforms.json of a folder, or else the files of the parts of a data set."""
+    return [folder / FILE] if is_there(folder / FILE) else sorted(folder.glob(PARTS))
 
 
 def _view(source: CameraSource, where: str, shared: dict[str, Any], frame: Any) -> PartialCamera:

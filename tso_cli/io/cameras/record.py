@@ -56,6 +56,7 @@ class PartialCamera:
     mask: Path | None = None
     image: Path | None = None
     names: tuple[str, ...] = ()
+    sized_by: Path | None = None  # the file that says the size, if it is another one
 
     @property
     def label(self) -> str:
@@ -72,8 +73,9 @@ class PartialCamera:
         """
         where = f"{path}: {plain(self.title)}: " if self.title else f"{path}: "
         if self.size and not same_shape(self.size, (width, height)):
+            of_size = f"{self.sized_by}: " if self.sized_by else where
             raise InputError(
-                f"{where}is for a picture of {self.size[0]}x{self.size[1]}, the mask is "
+                f"{of_size}is for a picture of {self.size[0]}x{self.size[1]}, the mask is "
                 f"{width}x{height}, expected the same proportions; resize or crop the mask as the "
                 "picture was"
             )
@@ -83,20 +85,17 @@ class PartialCamera:
                 "`intrinsics` FILE"
             )
         if self.R is None or self.t is None:
+            if path.stem == "cameras" and path.suffix in (".bin", ".txt"):
+                raise InputError(
+                    f"{where}has K but no pose, expected both; give the folder of the COLMAP "
+                    f"model, with cameras{path.suffix} and images{path.suffix}"
+                )
             raise InputError(
                 f"{where}has K but no pose, expected R and t; `camera` fit with `intrinsics` FILE "
                 "estimates the pose of a single mask"
             )
         with prefixed(where), np.errstate(all="ignore"):
             return Camera(self.intrinsics(width, height), self.R, self.t, width, height, self.model)
-
-
-def is_there(file: Path) -> bool:
-    """Whether a file that a camera file names exists; its name may be impossible."""
-    try:
-        return file.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:

@@ -15,7 +15,7 @@ from ...errors import InputError
 from ...geometry.arrays import Array
 from ..checked import Checked, kind
 from ..output import reason
-from ..reading import read_bytes, shown
+from ..reading import json_reason, read_bytes, shown
 
 LIMIT = 16 << 20  # bytes of a camera file
 # A model of COLMAP lists all image points with its cameras.
@@ -85,11 +85,9 @@ class CameraSource(Checked):
             return json.loads(self.text, object_pairs_hook=self._unique)
         except InputError:
             raise
-        except RecursionError:
-            raise InputError(f"{self.path}: is not JSON (nested too deep)") from None
-        except ValueError as error:
+        except (RecursionError, ValueError) as error:
             raise InputError(
-                f"{self.path}: is not JSON ({reason(error)}), expected {EXPECTED}"
+                f"{self.path}: is not JSON ({json_reason(error)}), expected {EXPECTED}"
             ) from None
 
     def _unique(self, pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -29,7 +29,10 @@ def _perspective(named: Sequence[Named]) -> None:
         if camera.model != "perspective":
             raise InputError(f"{name}: its camera is {camera.model}, expected perspective")
         if camera.K[0, 1] != 0.0:
-            raise InputError(f"{name}: K has a skew of {camera.K[0, 1]:g}, expected 0")
+            raise InputError(
+                f"{name}: K has a skew of {camera.K[0, 1]:g}, expected 0: the format has "
+                "no place for it; write tso's own format"
+            )
 
 
 def colmap_texts(named: Sequence[Named]) -> dict[str, str]:

@@ -1,0 +1,375 @@
+"""`tso batch`: items end once whatever is killed; `--record` and `--config` repeat a run."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.scenes import EXAMPLES
+from tso_cli.batch.journal import ENDS, entries
+from tso_cli.io.clouds import read_cloud, write_cloud
+
+ROOT = Path(__file__).parents[2]
+CHAIR, CAR = EXAMPLES / "chair", EXAMPLES / "car"
+FEW = "--preset paper --steps 2"  # a quick run
+linux = pytest.mark.skipif(sys.platform != "linux", reason="kills processes by /proc")
+
+
+@pytest.fixture
+def items(tmp_path, monkeypatch):
+    """Write items.csv with these rows in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+
+    def write(header, *rows):
+        Path("items.csv").write_text("\n".join([header, *rows]) + "\n")
+
+    return write
+
+
+def row(name, cloud=CHAIR / "initial.ply", more="2,paper"):
+    return f"{cloud},{CHAIR / 'mask.png'},{name},{more}"
+
+
+HEADER = "cloud,mask,output,steps,preset"
+
+
+def ends_of(journal):
+    """Item -> its ends."""
+    found = {}
+    for entry in entries(Path(journal)):
+        if entry["event"] in ENDS:
+            found.setdefault(entry["item"], []).append(entry["event"])
+    return found
+
+
+def test_every_item_is_refined_as_it_is_alone(items, tso):
+    items(HEADER, row("a.ply"), f"{CAR / 'initial.ply'},{CAR / 'mask.png'},in/b.ply,3,paper")
+    found = tso("batch", "items.csv", "-o", "out", "--json").document
+    assert found["done"] == 2
+    alone = ("--steps", 3, "--preset", "paper", "-o", "b.ply")
+    assert tso("refine", CAR / "initial.ply", CAR / "mask.png", *alone).code == 0
+    results = [read_cloud(path).points for path in ("out/in/b.ply", "b.ply")]
+    np.testing.assert_allclose(*results, atol=1e-5)
+    assert ends_of("out/journal.jsonl") == {"a.ply": ["done"], "in/b.ply": ["done"]}
+
+
+def test_the_second_run_does_only_what_is_left_or_changed(items, tso):
+    shutil.copy(CHAIR / "initial.ply", "cloud.ply")
+    items(HEADER, row("a.ply"), row("b.ply", "cloud.ply"), row("c.ply", "nothing.ply"))
+    first = tso("batch", "items.csv", "-o", "out", "-q")
+    assert first.code == 3
+    assert first.out == ""
+    points = read_cloud("cloud.ply").points
+    write_cloud("cloud.ply", points * 1.01, overwrite=True)
+    Path("out/a.ply").unlink()
+    second = tso("batch", "items.csv", "-o", "out")
+    assert "3 of 3 items: 2 done, 1 refused" in second.out
+    assert "1 x nothing.ply: " in second.out
+    assert second.code == 3
+    third = tso("batch", "items.csv", "-o", "out")
+    assert "2 skipped, 1 refused" in third.out
+
+
+def test_results_that_are_not_of_this_batch_are_not_replaced(items, tso):
+    items(HEADER, row("a.ply"))
+    Path("out").mkdir()
+    Path("out/a.ply").write_text("mine")
+    for _ in range(2):
+        assert tso("batch", "items.csv", "-o", "out", "-q").code == 3
+        assert Path("out/a.ply").read_text() == "mine"
+    assert tso("batch", "items.csv", "-o", "out", "--overwrite", "-q").code == 0
+
+
+def test_no_doubtful_result_is_written_if_that_is_asked(items, tso):
+    """A car's mask for a chair."""
+    items("cloud,mask", f"{CHAIR / 'initial.ply'},{EXAMPLES / 'airplane/mask.png'}")
+    assert tso("batch", "items.csv", "-o", "out", "--strict", "-q").code == 3
+    (entry,) = [e for e in entries(Path("out/journal.jsonl")) if e["event"] != "started"]
+    assert entry["event"] in ("doubtful", "refused")
+    assert entry["reason"]
+    assert not Path("out/initial.refined.ply").exists()
+
+
+def test_shards_together_do_every_item_once(items, tso):
+    items(HEADER, *(row(f"{number}.ply") for number in range(5)))
+    for index in (1, 2):
+        assert tso("batch", "items.csv", "-o", "out", "--shard", f"{index}/2", "-q").code == 0
+    ends = [ends_of(f"out/{index}-of-2.journal.jsonl") for index in (1, 2)]
+    assert len(ends[0]) == 3
+    assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(5)}
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "message"),
+    [
+        (HEADER, ["a.ply,m.png,x.ply,many,paper"], "row 2: steps: .*'many' is not a valid integer"),
+        (HEADER, ["a.ply,m.png,x.ply,2,fast"], "row 2: preset: .*'fast' is not one of"),
+        ("cloud,mask,stepps", ["a.ply,m.png,3"], "column 'stepps' is no option of tso refine"),
+        ("cloud,mask,check", ["a.ply,m.png,1"], "column 'check' is no option"),
+        ("cloud,mask,refine-camera", ["a.ply,m.png,maybe"], "expected true or false"),
+        ("cloud,mask,camera", ["a.ply,m.png,c.json"] * 2, "row 3 has the output a.refined.ply, as"),
+        ("cloud,mask,assume", ["a.ply,m.png,list"], "assume is list, expected a name"),
+        ("cloud,mask,output", ["a.ply,m.png,../x.ply"], "expected a name below the folder"),
+        ("cloud,mask,output", ["a.ply,m.png,/x.ply"], "expected a name below the folder"),
+    ],
+)
+def test_a_wrong_row_is_refused_before_anything_is_done(items, tso, header, rows, message):
+    import re
+
+    items(header, *rows)
+    refusal = tso("batch", "items.csv", "-o", "out").refusal
+    assert re.search(message, refusal), refusal
+    assert "items.csv" in refusal
+    assert not Path("out").exists()
+
+
+def test_a_record_repeats_its_run_wherever_it_is_read(folder, tso, monkeypatch):
+    first = ("refine", "initial.ply", "mask.png", "--steps", 3, "--preset", "paper", "--record")
+    Path("in").mkdir()
+    assert tso(*first, "-o", "in/first.ply").code == 0
+    record = json.loads(Path("in/first.record.json").read_text())
+    assert record["schema"] == 1
+    assert set(record["inputs"]) == {"initial.ply", "mask.png", "camera.json"}
+    assert record["options"]["masks"] == ["../mask.png"]
+    assert record["command"].startswith("tso refine initial.ply mask.png --preset paper --steps 3")
+    before = Path("in/first.ply").read_bytes()
+    monkeypatch.chdir("in")
+    Path("first.ply").unlink()
+    assert tso("refine", "--config", "first.record.json", "-q").code == 0
+    assert Path("first.ply").read_bytes() == before
+
+
+def test_options_of_a_file_stand_for_those_that_are_not_given(folder, tso):
+    Path("in").mkdir()
+    Path("in/o.toml").write_text('mask = ["../mask.png"]\nsteps = 2\npreset = "paper"\n')
+    found = tso("refine", "initial.ply", "--config", "in/o.toml", "--json", "-o", "a.ply").document
+    assert found["steps"] == 2
+    assert found["preset"] == "paper"
+    assert found["options"]["steps"] == 2
+    more = ("--steps", 1, "--json", "-o", "b.ply")
+    assert tso("refine", "initial.ply", "--config", "in/o.toml", *more).document["steps"] == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("o.json", "[]", "holds"),
+        ("o.json", "{", "cannot be read"),
+        ("o.toml", "a = ", "cannot be read"),
+        ("o.json", '{"stepps": 1}', "'stepps' is no option of refine"),
+        ("o.json", '{"schema": 99, "options": {}}', "is a record of schema 99, expected 1"),
+        ("o.json", '{"schema": 1}', "has no options"),
+    ],
+)
+def test_a_wrong_file_of_options_is_refused(folder, tso, name, text, message):
+    Path(name).write_text(text)
+    assert message in tso("refine", "initial.ply", "mask.png", "--config", name).refusal
+
+
+def poisonous(folder):
+    """A package with a reader of .poison that kills its process; the variables to find it."""
+    info = folder / "poison-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: poison\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[tso.clouds]\npoison = poison:read\n")
+    (folder / "poison.py").write_text(
+        "import os\ndef read(data, path):\n    os.kill(os.getpid(), 9)\n"
+    )
+    return os.environ | {"PYTHONPATH": f"{folder}:{Path(__file__).parents[2]}"}
+
+
+def started(tmp_path, environment, *more):
+    command = [sys.executable, "-m", "tso_cli", "batch", "items.csv", "-o", "out", "-q", *more]
+    return subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
+
+
+def children_of(process):
+    """The processes below one, by /proc."""
+    tree = {}
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        tree.setdefault(int(fields[1]), []).append(int(status.parent.name))
+    return tree.get(process, [])
+
+
+@linux
+@pytest.mark.slow
+def test_after_any_kills_every_item_ends_once_and_nothing_is_left(items, tmp_path):
+    environment = poisonous(tmp_path / "plugin") | {"OMP_NUM_THREADS": "2"}
+    Path("p.poison").write_text("x")
+    names = [f"{number}.ply" for number in range(60)]
+    rows = [row(name) for name in names]
+    items(HEADER, *rows, row("poison.ply", "p.poison"), row("broken.ply", "nothing.ply"))
+    dice = random.Random(0)
+    for _ in range(8):
+        process = started(tmp_path, environment)
+        time.sleep(dice.uniform(0.5, 2.5))
+        victims = children_of(process.pid)
+        if victims and dice.random() < 0.7:
+            for victim in dice.sample(victims, dice.randint(1, len(victims))):
+                os.kill(victim, signal.SIGKILL)
+            time.sleep(dice.uniform(0.0, 0.5))
+        if process.poll() is None:
+            process.send_signal(dice.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGINT]))
+        process.wait()
+        until = time.monotonic() + 20.0
+        while any(Path(f"/proc/{victim}").exists() for victim in victims):
+            assert time.monotonic() < until
+            time.sleep(0.05)
+    assert started(tmp_path, environment).wait() == 3
+    ends = ends_of("out/journal.jsonl")
+    assert {name: ends[name].count("done") for name in names} == dict.fromkeys(names, 1)
+    assert "done" not in ends["poison.ply"]
+    assert ends["broken.ply"][-1] == "refused"
+    files = Counter(path.suffix for path in Path("out").iterdir())
+    assert files == {".ply": 60, ".json": 60, ".jsonl": 1}
+    reason = [e.get("reason", "") for e in entries(Path("out/journal.jsonl"))
+              if e["item"] == "poison.ply"][-1]  # fmt: skip
+    assert "was killed by SIGKILL" in reason
+
+
+@linux
+@pytest.mark.slow
+def test_a_cluster_of_dask_loses_nothing_and_names_the_poison(items, tmp_path):
+    """Two workers, one of which is killed on the way, and an item that kills its worker."""
+    pytest.importorskip("distributed")
+    environment = poisonous(tmp_path / "plugin") | {"OMP_NUM_THREADS": "2"}
+    Path("p.poison").write_text("x")
+    names = [f"{number}.ply" for number in range(40)]
+    items(HEADER, *(row(name) for name in names), row("poison.ply", "p.poison"))
+    process = started(tmp_path, environment, "--engine", "dask", "-j", "2")
+    journal = Path("out/journal.jsonl")
+    until = time.monotonic() + 60.0
+    while not (journal.exists() and journal.read_text().count('"done"') >= 5):
+        assert time.monotonic() < until
+        time.sleep(0.02)
+    # The last child is a worker; the first are those that watch over the others.
+    os.kill(max(children_of(process.pid)), signal.SIGKILL)
+    assert process.wait() == 3
+    ends = ends_of(journal)
+    assert ends.pop("poison.ply") == ["failed"]
+    assert ends == {name: ["done"] for name in names}
+    assert "its process died" in journal.read_text()
+
+
+def test_a_cluster_that_is_not_there_is_refused(items, tso):
+    pytest.importorskip("distributed")
+    items(HEADER, row("a.ply"))
+    more = ("--engine", "dask", "--scheduler", "tcp://127.0.0.1:1")
+    found = tso("batch", "items.csv", "-o", "out", "-q", *more)
+    assert found.code == 1
+    assert "no worker of tcp://127.0.0.1:1 can be reached" in found.err
+    assert "--engine dask" in tso("batch", "items.csv", "-o", "out", "--scheduler", "x").refusal
+
+
+def test_the_index_shows_every_item_with_its_last_end(items, tso):
+    items(HEADER, row("a.ply"), row("in/<b>.ply"), row("c.ply", "nothing.ply"))
+    assert tso("batch", "items.csv", "-o", "out", "--report", "-q").code == 3
+    page = Path("out/index.html").read_text()
+    rows = json.loads(page.partition('id="rows">')[2].partition("</script>")[0])["rows"]
+    assert [one["event"] for one in rows].count("done") == 2
+    assert {one.get("picture") for one in rows} == {
+        "pictures/a.ply.png", "pictures/in/%3Cb%3E.ply.png", None,
+    }  # fmt: skip
+    assert Path("out/pictures/in/<b>.ply.png").is_file()
+    assert "<b>" not in page
+
+
+def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
+    pytest.importorskip("fsspec")
+    for name in ("initial.ply", "mask.png", "camera.json"):
+        shutil.copy(CHAIR / name, name)
+    here = f"file://{tmp_path}"
+    items(
+        "cloud,mask,camera,output,steps,preset",
+        f"{here}/initial.ply,{here}/mask.png,{here}/camera.json,{here}/far/a.ply,2,paper",
+        "initial.ply,mask.png,camera.json,b.ply,2,paper",
+        f"{here}/nothing.ply,mask.png,camera.json,c.ply,2,paper",
+    )
+    found = tso("batch", "items.csv", "-o", "out", "-q", "--json")
+    assert found.code == 3
+    (refused,) = json.loads(found.out)["not_done"]
+    assert refused["reason"] == f"{here}/nothing.ply: does not exist, expected a file"
+    results = [read_cloud(path).points for path in ("far/a.ply", "out/b.ply")]
+    np.testing.assert_array_equal(*results)
+    assert sorted(path.name for path in Path("far").iterdir()) == ["a.ply", "a.record.json"]
+    again = json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)
+    assert again["skipped"] == 2
+    os.utime("initial.ply", (0, 0))
+    assert json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)["done"] == 1
+    Path("out/journal.jsonl").unlink()
+    assert (
+        "exists already"
+        in json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)["not_done"][0][
+            "reason"
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "initial.ply mask.png",
+        "initial.ply mask.png --preset paper --steps 2",
+        "initial.ply mask.png --steps 0",
+        "initial.ply mask.png --camera fit --write-camera fitted.json",
+        "initial.ply mask.png --refine-camera --assume mask-flipped",
+        "image.png mask.png --mode encoder --steps 1",
+    ],
+)
+def test_a_record_is_as_its_schema_says(folder, tso, arguments):
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads((ROOT / "tso_cli/schemas/record.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert tso("refine", *arguments.split(), "--record", "-o", "r.ply", "-q").code == 0
+    record = json.loads(Path("r.record.json").read_text())
+    jsonschema.validate(record, schema)
+    unknown = record.keys() - schema["properties"].keys()
+    assert not unknown
+
+
+def recipe(*words):
+    """The line of docs/scale.md that holds the words."""
+    lines = (ROOT / "docs/scale.md").read_text().splitlines()
+    (line,) = [line for line in lines if all(word in line for word in words)]
+    return line
+
+
+@linux
+def test_the_recipe_for_slurm_does_every_item_once(items, tmp_path):
+    """`srun` only runs what it is given, as on a cluster of one machine."""
+    items(HEADER, *(row(f"{number}.ply") for number in range(3)))
+    line = recipe("srun", "SLURM_ARRAY_TASK_ID").replace("-j 16", "-q")
+    script = f'srun() {{ "$@"; }}\ntso() {{ {sys.executable} -m tso_cli "$@"; }}\n{line}\n'
+    for index in (1, 2):
+        variables = {"SLURM_ARRAY_TASK_ID": str(index), "SLURM_ARRAY_TASK_COUNT": "2"}
+        environment = os.environ | variables | {"PYTHONPATH": str(ROOT)}
+        subprocess.run(["sh", "-c", script], env=environment, cwd=tmp_path, check=True)
+    ends = [ends_of(path) for path in sorted(Path("results").glob("*.jsonl"))]
+    assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(3)}
+    assert not ends[0].keys() & ends[1].keys()
+
+
+@pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed")
+def test_the_recipe_for_gnu_parallel_does_every_item_once(items, tmp_path):
+    items(HEADER, *(row(f"{number}.ply") for number in range(3)))
+    line = recipe("parallel", "--sshloginfile").replace("--sshloginfile machines.txt --wd .", "")
+    command = line.replace(" tso ", f" {sys.executable} -m tso_cli ").replace("{}/8", "{}/2")
+    command = command.partition(":::")[0] + "-q ::: 1 2"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run(["sh", "-c", command], env=environment, cwd=tmp_path, check=True)
+    ends = [ends_of(path) for path in sorted(Path("results").glob("*.jsonl"))]
+    assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(3)}
