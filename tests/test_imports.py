@@ -49,3 +49,20 @@ def test_only_the_command_line_names_options():
         if re.search(r"(?<![\w-])--[a-z]", text)
     ]
     assert naming == []
+
+
+def test_signals_wait_while_a_library_that_takes_ctrl_c_for_a_missing_part_is_imported():
+    def imports(node):
+        names = [alias.name for alias in getattr(node, "names", ())]
+        named = [node.module or ""] if isinstance(node, ast.ImportFrom) else names
+        return any(name.split(".")[0] in ("trimesh", "open3d") for name in named)
+
+    found, waiting = set(), set()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, (ast.Import, ast.ImportFrom)) and imports(node):
+                found.add((path, node.lineno))
+            elif isinstance(node, ast.With) and "waiting_signals()" in ast.unparse(node.items[0]):
+                waiting |= {(path, one.lineno) for one in node.body}
+    assert found
+    assert found <= waiting

@@ -90,11 +90,33 @@ class _Stream(io.FileIO):
             raise
 
 
+class _Text(io.TextIOWrapper):
+    """Text with control characters as escapes: names and contents of files may hold any.
+
+    The frame of a progress bar stays. What the encoding lacks becomes an escape too.
+    """
+
+    def write(self, text: str) -> int:
+        bar = _BAR.fullmatch(text)
+        return super().write(f"\r{_escaped(bar[1])}{bar[2]}" if bar else _escaped(text))
+
+
+_BAR = re.compile(r"\r(.*)(\x1b\[K\n?)")
+_SUSPICIOUS = re.compile(r"[^\n\t -~]")
+
+
+def _escaped(text: str) -> str:
+    return _SUSPICIOUS.sub(
+        lambda found: found[0] if found[0].isprintable() else ascii(found[0])[1:-1], text
+    )
+
+
 def _open_streams() -> None:
     """Make the standard streams safe to write to.
 
     1. If stdin, stdout or stderr is closed, no output file gets its number.
     2. If the reader of stdout or stderr goes away, the work goes on.
+    3. Any text can be printed, and none controls the terminal.
     """
     while (spare := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(spare, True)
@@ -102,14 +124,12 @@ def _open_streams() -> None:
     if sys.stderr is sys.__stderr__:  # not replaced by a caller
         encoding = sys.stderr.encoding if sys.stderr else "utf-8"
         # A copy of the descriptor: what C libraries print on 2 itself stays separate.
-        sys.stderr = io.TextIOWrapper(
-            _Stream(2, OSError), encoding, "backslashreplace", write_through=True
-        )
+        sys.stderr = _Text(_Stream(2, OSError), encoding, "backslashreplace", write_through=True)
     if sys.stdout is sys.__stdout__ and (stdout := sys.__stdout__) is not None:
         # A reader may go away, as in `tso eval ... | head`; other errors of a file are reported.
         buffered = io.BufferedWriter(_Stream(1, BrokenPipeError))
-        sys.stdout = io.TextIOWrapper(
-            buffered, stdout.encoding, stdout.errors, line_buffering=stdout.line_buffering
+        sys.stdout = _Text(
+            buffered, stdout.encoding, "backslashreplace", line_buffering=stdout.line_buffering
         )
 
 
@@ -188,4 +208,4 @@ def with_options(message: str) -> str:
 
 def _one_line(message: str) -> str:
     """``message`` as one printable line; the name of a file may hold control characters."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(message.split()))
+    return _escaped(" ".join(message.split()))

@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -28,8 +29,10 @@ from tso_cli.io.output import atomic_output, lock, sole_writer
 from tso_cli.io.ply_body import BinaryBody
 from tso_cli.io.reading import TextTable
 from tso_cli.io.shipped import examples_folder
+from tso_cli.kernels import dispatch
 from tso_cli.lab.study import Progress
 from tso_cli.optimisation.objective import SilhouetteObjective
+from tso_cli.refinement import api
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("out.ply", "out.png", "out.json")
@@ -107,22 +110,43 @@ def test_of_two_writers_of_one_name_one_succeeds(tmp_path, monkeypatch, links):
 
 
 def test_what_killed_runs_left_of_a_file_is_removed_except_what_a_living_one_writes(tmp_path):
-    names = (
-        ".out.0123456789ab.ply",
-        ".out.ba9876543210.ply",
-        ".other.0123456789ab.ply",
-        ".out.0123456789ab.png",
+    def name_of(output):
+        with atomic_output(tmp_path / output) as temporary:
+            return temporary.with_name(f"{temporary.stem[:-12]}0123456789ab{temporary.suffix}")
+
+    stale, *others = map(name_of, ("out.ply", "other.ply", "out.png", "out.b.ply"))
+    living, young = (
+        stale.with_name(stale.name.replace("0123456789ab", other))
+        for other in ("ba9876543210", "abcdefabcdef")
     )
-    stale, living, *others = (tmp_path / name for name in names)
     for path in (stale, living, *others):
         path.touch()
+        os.utime(path, (0.0, 0.0))
+    young.touch()
     held = lock(living)
     with atomic_output(tmp_path / "out.ply") as temporary:
         assert not stale.exists()
         assert temporary.exists()
         assert living.exists()
+        assert young.exists()
         assert all(path.exists() for path in others)
     os.close(held)
+
+
+WRITE = (
+    "import sys\nfrom pathlib import Path\nfrom tso_cli.io.output import write_file\n"
+    "path, data = Path(sys.argv[1]), sys.argv[2].encode() * 5000\n"
+    "for _ in range(400):\n"
+    "    write_file(path, data, overwrite=True)\n"
+    "    assert len(set(path.read_bytes())) == 1\n"
+)
+
+
+@pytest.mark.parametrize("name", ["same.bin", "a_long_name_that_several_outputs_begin_with_{}.bin"])
+def test_of_four_processes_that_write_at_once_no_write_fails(tmp_path, name):
+    writers = [started(tmp_path / name.format(k), k, program=WRITE) for k in range(4)]
+    assert [writer.communicate() for writer in writers] == [("", "")] * 4
+    assert sorted(tmp_path.iterdir()) == sorted({tmp_path / name.format(k) for k in range(4)})
 
 
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
@@ -191,6 +215,11 @@ DAMAGES = {
     "changed": lambda path: path.write_bytes(path.read_bytes().replace(b"\x48", b"\x49")),
     "a folder": lambda path: (path.unlink(), path.mkdir()),
 }
+COMPILING_FAILS = (
+    "from numba.core import compiler\n"
+    "def fail(*_, **__):\n    raise AssertionError('is compiled anew')\n"
+    "compiler.compile_extra = fail\n"
+)
 SQUARE = (
     "import sys, warnings\nimport numpy as np\n"
     "warnings.showwarning = lambda message, *_, **__: print(message)\n"
@@ -233,6 +262,56 @@ def test_damaged_machine_code_is_compiled_anew(cache, damage, suffix):
     assert first[0].endswith(before)
     assert first[1] == ""
     assert damage == "a folder" or second == (before, "")
+
+
+def test_loops_that_cannot_be_kept_are_an_error_of_tso_compile(tso, monkeypatch):
+    program = (
+        "from numba.core import caching\n"
+        "caching.FunctionCache._impl_class._locator_classes = []\n"
+        "from tso_cli.cli import main\nmain()"
+    )
+    run = started("compile", program=program)
+    assert run.communicate()[1].startswith("tso: error: the compiled loops cannot be kept: ")
+    assert run.returncode == 1
+    monkeypatch.setattr(dispatch, "kept", lambda: (Path("full"), 3, 13))
+    monkeypatch.setattr(api, "compile_loops", lambda: None)
+    run = tso("compile")
+    assert run.code == 1
+    assert run.err.startswith("tso: error: full: holds 3 of 13 compiled loops, expected all; ")
+
+
+REFINE_MUCH = (
+    "import numpy as np\nfrom tso_cli.refinement import RefineConfig, refine, refine_batch\n"
+    "mask = np.zeros((64, 64))\nmask[20:44, 20:44] = 1\n"
+    "points = np.random.default_rng(0).uniform(-0.3, 0.3, (16384, 3))\n"
+    "assert refine(points, mask, config=RefineConfig(steps=200)).fit.steps == 200\n"
+    "refine_batch([(points[:256], mask)] * 200, RefineConfig(steps=1))\n"
+)
+
+
+def test_with_numba_switched_off_numpy_does_the_work_in_silence():
+    off = {"NUMBA_DISABLE_JIT": "1"}
+    work, compiling = (
+        started(program=REFINE_MUCH, environment=off),
+        started("compile", environment=off),
+    )
+    assert work.communicate() == ("", "")
+    assert work.returncode == 0
+    assert compiling.communicate()[1].startswith("tso: error: numba is switched off ")
+    assert compiling.returncode == 1
+
+
+@pytest.mark.slow
+def test_four_processes_that_build_the_cache_at_once_keep_all_loops(tmp_path):
+    folder = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    building = [started("compile", environment=folder) for _ in range(4)]
+    for process in building:
+        said = process.communicate()[1]
+        assert re.fullmatch(rf"tso: 13 loops are compiled and kept in {tmp_path}/.* s\)\n", said)
+        assert process.returncode == 0
+    program = COMPILING_FAILS + "from tso_cli.cli import main; main()"
+    again = started("compile", program=program, environment=folder)
+    assert again.communicate()[1].startswith("tso: 13 loops are compiled and kept in ")
 
 
 @pytest.mark.parametrize(
@@ -413,6 +492,24 @@ def test_what_libtiff_says_of_a_damaged_picture_is_the_reason_of_its_refusal(
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("part", ["networkx", "trimesh.exchange.gltf", "trimesh.path"])
+def test_a_signal_while_trimesh_is_imported_ends_the_command(tmp_path, name, part):
+    program = (
+        "import signal, sys\n"
+        "class Signalled:\n"
+        "    def find_spec(self, name, *_):\n"
+        f"        if name == {part!r}:\n"
+        f"            signal.raise_signal(signal.{name})\n"
+        "sys.meta_path.insert(0, Signalled())\n"
+        "from tso_cli.cli import main\nmain()"
+    )
+    mesh = next((ROOT / "examples" / "meshes").rglob("*.ply"))
+    run = started("eval", mesh, mesh, program=program)
+    assert run.communicate()[1].splitlines()[-1] == "tso: error: interrupted"
+    assert run.returncode == 130
+
+
 def test_ctrl_c_while_open3d_is_imported_is_ctrl_c(tso, tmp_path, monkeypatch, folder):
     class Interrupted:
         def find_spec(self, name, *_):
@@ -502,7 +599,8 @@ def test_a_process_that_is_killed_leaves_nothing_that_the_next_does_not_remove(f
     killed = started("refine", *OUTPUTS, program=program)
     killed.communicate()
     assert killed.returncode == -signal.SIGKILL
-    assert len(written(folder)) == 1
+    (left,) = written(folder)
+    os.utime(left, (0.0, 0.0))  # a younger one may belong to a writer that is about to lock it
     again = started("refine", *OUTPUTS)
     again.communicate()
     assert again.returncode == 0
@@ -524,6 +622,77 @@ def test_ctrl_c_while_the_command_line_is_imported_ends_it_without_a_traceback()
         process.send_signal(signal.SIGINT)
         assert "Traceback" not in process.stderr.read()
         assert process.wait() in (-signal.SIGINT, 130)
+
+
+NOT_UTF_8 = os.fsdecode(b"name\xff")
+LOG = '{"supervision": "masks\\ud800"}\n{"step": 1, "loss": 2}\n{"step": 2, "loss": 1}\n'
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are text here")
+@pytest.mark.parametrize(
+    "line",
+    [
+        "refine {}.ply {}.png --camera camera.json --overlay o.png --report {}.html -o {}.out.ply",
+        "eval {}.ply initial.ply",
+        "curves {}.jsonl",
+        "mask {}.png",
+        "render {} -o rendered --views 1",
+    ],
+)
+def test_a_name_that_is_not_utf_8_does_not_end_the_work(folder, line):
+    for kind, suffix in (("initial", ".ply"), ("mask", ".png")):
+        shutil.copy(kind + suffix, NOT_UTF_8 + suffix)
+    Path(f"{NOT_UTF_8}.jsonl").write_text(LOG)
+    Path(NOT_UTF_8).mkdir()
+    mesh = examples_folder() / "meshes" / "chair" / "q17_Chair.ply"
+    shutil.copy(mesh, Path(NOT_UTF_8) / f"{NOT_UTF_8}.ply")
+    strict = {"PYTHONIOENCODING": "utf-8:strict"}
+    run = started(*line.replace("{}", NOT_UTF_8).split(), environment=strict)
+    out, err = run.communicate()
+    assert run.returncode == 0, err
+    assert "name\\udcff" in out + err
+
+
+ESCAPES = "\x1b]0;t\x07\x1b[31m\x9b1m"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "refine {}.ply {}.png --camera {}.json --steps 2 -v",
+        "refine {}.ply {}.png --camera {}.json --check",
+        "eval {}.ply initial.ply",
+        "eval {}.ply initial.ply --json",
+        "curves {}.jsonl",
+        "mask {}.png",
+    ],
+)
+def test_names_and_contents_of_files_do_not_control_a_terminal(folder, line):
+    pty = pytest.importorskip("pty")
+    for kind, suffix in (("initial", ".ply"), ("mask", ".png"), ("camera", ".json")):
+        shutil.copy(kind + suffix, ESCAPES + suffix)
+    Path(f"{ESCAPES}.jsonl").write_text(LOG.replace("\\ud800", json.dumps(ESCAPES)[1:-1]))
+    terminal, end = pty.openpty()
+    run = started(*(word.replace("{}", ESCAPES) for word in line.split()), stdout=end, stderr=end)
+    os.close(end)
+    printed = b""
+    with suppress(OSError):  # the end of a terminal
+        while part := os.read(terminal, 1 << 16):
+            printed += part
+    os.close(terminal)
+    assert run.wait() == 0
+    assert rb"\x1b]0;t\x07" in printed or rb"\u001b]0;t\u0007" in printed
+    assert re.findall(rb"[^\r\n\t -~]", printed) == []
+
+
+def test_a_progress_bar_redraws_its_line():
+    program = (
+        "from tso_cli import cli\ncli._open_streams()\n"
+        "print('\\r[##] \\x1b[31m\\x1b[K', end='')\nprint('\\u2713 \\u00e9')"
+    )
+    run = started(program=program, environment={"PYTHONIOENCODING": "utf-8"})
+    # A pipe of text has \n for \r.
+    assert run.communicate()[0] == "\n[##] \\x1b[31m\x1b[K\u2713 \u00e9\n"
 
 
 CHAIR = examples_folder() / "chair"

@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial import cKDTree
 from trimesh.remesh import subdivide
 
 from tests.corruption import assert_refused
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.cloud.control_points import CONTROL_POINTS
-from tso_cli.cloud.surface import Surface, SurfaceSamples
+from tso_cli.cloud.smooth_field import INTERPOLATED_FROM, falling_weights
+from tso_cli.cloud.surface import RIDGE, Surface, SurfaceSamples
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.evaluation.footprint import common_window, window_iou
 from tso_cli.evaluation.metrics import chamfer, nearest_squared
@@ -145,6 +147,23 @@ def test_the_triangulation_hardly_changes_the_result(stretched, views):
     assert chamfer(*surfaces).chamfer < 0.1 * displacement
     # Eight corners cannot bend as the fine surface does.
     np.testing.assert_allclose(stretched.points, results[1][:8], atol=0.03)
+
+
+@pytest.mark.parametrize("most", [40, 600])
+def test_the_correction_is_that_of_a_dense_solution(most):
+    # Their distances differ, so that no two control points are equally near.
+    vertices, faces = _subdivided(CORNERS, BOX, 4)
+    vertices = vertices + np.random.default_rng(1).normal(size=vertices.shape) * 1e-3
+    samples = SurfaceSamples(Surface(vertices, faces), most)
+    wanted = np.random.default_rng(0).normal(size=samples.control_points.shape)
+    distance, near = cKDTree(samples.control_points).query(vertices, INTERPOLATED_FROM)
+    of_vertices = np.zeros((len(vertices), len(wanted)))
+    np.put_along_axis(of_vertices, near, falling_weights(distance), 1)
+    carried = samples.at_control_points(of_vertices)
+    normal = carried.T @ carried + RIDGE * np.eye(len(wanted))
+    corrected = wanted + np.linalg.solve(normal, carried.T @ (wanted - carried @ wanted))
+    np.testing.assert_allclose(samples.follow(wanted), of_vertices @ corrected, atol=1e-9)
+    assert not samples.follow(0.0 * wanted).any()
 
 
 def test_duplicates_of_a_vertex_stay_together(stretched, views):

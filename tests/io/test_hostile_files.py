@@ -12,15 +12,18 @@ import tracemalloc
 import numpy as np
 import pytest
 import torch
+import trimesh
 from PIL import Image
+from trimesh.visual.material import PBRMaterial
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tests.fuzz import READERS, cameras, reader
 from tso_cli.errors import InputError
+from tso_cli.io import reading, textures
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.logs import read_log
 from tso_cli.io.masks import read_mask
-from tso_cli.io.meshes import new_mesh
+from tso_cli.io.meshes import new_mesh, read_mesh
 
 from .test_clouds import a_ply
 from .test_mesh_files import OBJ, parts_of, tables
@@ -174,6 +177,58 @@ BOMBS = {
         {"asset": {}, "cameras": [{}], "nodes": [{"children": [i + 1]} for i in range(90_000)]}
     ),
 }
+
+
+def a_scene(tmp_path, **changes):
+    """A small .glb whose document has these ``changes``."""
+    document, binary = parts_of(new_mesh(".glb", POINTS, FACES))
+    accessors = [dict(one) for one in document["accessors"]]
+    (primitive,) = document["meshes"][0]["primitives"]
+    if "count" in changes:
+        accessors[primitive["attributes"]["POSITION"]] |= {"count": changes["count"]}
+        del accessors[primitive["attributes"]["POSITION"]]["bufferView"]
+        document["accessors"] = accessors
+    if "instances" in changes:
+        document["nodes"] = [{"mesh": 0}] * changes["instances"]
+        document["scenes"] = [{"nodes": list(range(changes["instances"]))}]
+        document["scene"] = 0
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<I", len(text)) + b"JSON" + text
+    chunks += struct.pack("<I", len(binary)) + b"BIN\0" + binary
+    path = tmp_path / "scene.glb"
+    path.write_bytes(b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks)
+    return path
+
+
+@pytest.mark.parametrize("read", [read_mesh, read_cloud])
+def test_a_small_scene_of_many_gigabytes_is_refused_before_they_are_taken(
+    tmp_path, monkeypatch, read
+):
+    read(a_scene(tmp_path, instances=3))
+    monkeypatch.setattr(trimesh, "load_scene", lambda *_, **__: pytest.fail("was parsed"))
+    assert_refused("accessors.*bufferView", read, a_scene(tmp_path, count=100_000_000))
+    monkeypatch.setattr(reading, "free_memory", lambda: 1e6)
+    assert_refused(r"needs about 0\.0\d+ GiB of memory", read, a_scene(tmp_path, instances=5000))
+
+
+def test_textures_that_do_not_fit_into_memory_together_are_refused_in_silence(
+    tmp_path, monkeypatch, recwarn
+):
+    large = Image.new("1", (9700, 9700))  # Pillow warns of its size
+    path = tmp_path / "textures.glb"
+    parts = [trimesh.creation.box() for _ in range(2)]
+    for number, part in enumerate(parts):
+        image = large.copy()
+        image.putpixel((number, 0), 1)
+        texture = PBRMaterial(baseColorTexture=image)
+        part.visual = trimesh.visual.TextureVisuals(np.zeros((8, 2)), material=texture)
+    path.write_bytes(trimesh.Scene(parts).export(file_type="glb"))
+    monkeypatch.setattr(reading, "free_memory", lambda: 2.6e9)
+    monkeypatch.setattr(textures, "as_colours", lambda *_: pytest.fail("was decoded"))
+    assert_refused(r"textures\.glb: needs about 2\.8 GiB of memory", read_mesh, path)
+    assert len(read_mesh(path, textures=False).faces) == 24
+    assert recwarn.list == []
 
 
 @pytest.mark.parametrize("name", BOMBS)

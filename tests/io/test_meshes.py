@@ -81,7 +81,7 @@ def test_vertex_colours_are_averaged_over_a_face(tmp_path):
 
 
 BAD = {
-    "pickle.glb": (pickle.dumps({"a": 1}), "not a readable .glb mesh"),
+    "pickle.glb": (pickle.dumps({"a": 1}), "is a damaged GLB or glTF"),
     "noise.stl": (bytes(range(256)), "no STL file"),
     "words.obj": (b"hello\n", "mesh"),
     "cloud.ply": (ply(faces="", counts="4 0").encode(), "no face"),
@@ -94,7 +94,11 @@ BAD = {
         ply("0 0 0\n1e300 0 0\n0 1e300 0\n0 0 5\n").replace("float", "double").encode(),
         "area",
     ),
-    "lies.ply": (ply(counts="999999999999 2").encode(), "mesh"),
+    "lies.ply": (
+        ply(counts="4 999999999999").encode(),
+        "ends after 2 of 999999999999 rows of element .face., expected a whole file",
+    ),
+    "cut.ply": (ply()[:-9].encode(), "ends after|has . values"),
     "lies.stl": (bytes(80) + struct.pack("<I", 2**31) + bytes(100), "ends early or is no STL file"),
     "short.stl": (
         bytes(80) + struct.pack("<I", 2) + bytes(70),

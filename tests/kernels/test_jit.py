@@ -53,6 +53,24 @@ def test_without_a_writable_folder_the_loops_are_compiled_in_every_process(monke
     assert jit.kept_on_disk(lambda x: 2.0 * x)(2.0) == 4.0
 
 
+def test_machine_code_for_other_types_is_not_run(tmp_path):
+    """As where two processes gave the code of two types one name."""
+    file = jit._CheckedFile(str(tmp_path), "loop", "stamp")
+    file.save("float32", "code")
+    file.save("float64", "other code")
+    assert (file.load("float32"), file.load("float64")) == ("code", "other code")
+    (tmp_path / "loop.2.nbc").replace(tmp_path / "loop.1.nbc")
+    assert file.load("float32") is None
+
+
+def test_of_a_writer_that_is_killed_the_index_names_no_older_code(tmp_path, monkeypatch):
+    file = jit._CheckedFile(str(tmp_path), "loop", "stamp")
+    monkeypatch.setattr(file, "_save_data", full_disk)
+    with pytest.raises(OSError, match="No space"):
+        file.save("float32", "code")
+    assert file._load_index() == {}
+
+
 def test_a_full_disk_does_not_stop_the_work(monkeypatch):
     monkeypatch.setattr(jit._CheckedFile, "save", full_disk)
     monkeypatch.setattr(jit, "_warned", [])

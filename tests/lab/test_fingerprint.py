@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
@@ -80,6 +81,17 @@ def test_the_same_method_has_the_same_fingerprint_in_plain_and_in_compiled_loops
     today.cache_clear()
 
 
+@pytest.mark.parametrize("part", [part for part in PARTS if part != "pictures"])
+def test_a_part_that_ctrl_c_ends_has_no_fingerprint(part, monkeypatch):
+    kept = SimpleNamespace(stop_reason="interrupted")
+    monkeypatch.setattr(fingerprint, "refine", lambda *_, **__: SimpleNamespace(fit=kept))
+    monkeypatch.setattr(fingerprint, "train", lambda *_: kept)
+    today.cache_clear()
+    with pytest.raises(KeyboardInterrupt):
+        today(part)
+    assert today.cache_info().currsize == 0
+
+
 @pytest.mark.parametrize(
     ("part", "key", "tolerance"),
     [
@@ -142,7 +154,13 @@ def test_the_command_tells_records_of_the_method_from_others(tso, tmp_path, fixe
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [("{", "is not JSON"), ("[1]", "holds no JSON object")]
+    ("text", "message"),
+    [
+        ("{", "is not JSON"),
+        ("[1]", "holds no JSON object"),
+        ('{"cases": [{"category": Infinity}]}', "holds the number Infinity"),
+        ('{"cases": [{"category": "\\ud800"}]}', "holds half a letter"),
+    ],
 )
 def test_what_is_no_record_gets_one_line(tso, text, message, tmp_path):
     path = tmp_path / "record.json"

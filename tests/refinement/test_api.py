@@ -1,6 +1,7 @@
 """`refine`: its results, invariances and refusals."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.diagnosis.hypotheses import HYPOTHESES, Assumption
+from tso_cli.errors import InputError
 from tso_cli.optimisation.optimise import optimise, weigh
 from tso_cli.optimisation.resampled_view import resample_view
 from tso_cli.refinement import PRESETS
@@ -172,6 +174,56 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
         (dict(config=RefineConfig("encoder")), "needs a network"),
     ):
         assert_refused(words, refine, **(dict(points=points, masks=mask, cameras=camera) | bad))
+
+
+NO_NUMBERS = {
+    "ragged": [[1, 2, 3], [1, 2]],
+    "text": "x",
+    "texts": [["a", "b", "c"]],
+    "a dictionary": {},
+    "an object": object(),
+    "objects": np.full((5, 3), object()),
+    "complex": np.ones((5, 3), complex),
+    "complex of objects": np.full((5, 3), 1j, object),
+    "times": np.zeros((5, 3), "M8[s]"),
+    "beyond floats": [[10**400, 0, 0]],
+    "beyond squares": np.diag([1e307, 1.0, 2.0]),
+    "empty": np.zeros((0, 0)),
+}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", NO_NUMBERS)
+def test_what_is_no_array_of_real_numbers_is_an_input_error_wherever_it_is_given(chair, name):
+    points, mask, camera, _ = chair
+    value, view = NO_NUMBERS[name], View(mask, camera)
+    for call in (
+        partial(refine, value, mask, camera),
+        partial(refine, points, value, camera),
+        partial(refine, points, [value], camera),
+        partial(refine, points, mask, value),
+        partial(refine, points, mask, camera, faces=value),
+        partial(refine, points, mask, camera, colours=value),
+        partial(refine, points, mask, camera, config=value),
+        partial(refine, points, mask, camera, assume=[value]),
+        partial(View, value, camera),
+        partial(View, mask, value),
+        *(partial(replace, view, **{key: value}) for key in ("known", "depth", "image")),
+        *(
+            partial(replace, camera, **{key: value})
+            for key in ("K", "R", "t", "width", "height", "model")
+        ),
+        partial(Camera.canonical, value, 3),
+    ):
+        with pytest.raises(InputError):
+            call()
+
+
+def test_a_result_has_its_own_copy_of_the_points(chair):
+    points = chair.points.copy()
+    result = refine(points, chair.mask, chair.camera, RefineConfig(steps=1))
+    for array in (result.initial, result.points, *result.measured):
+        assert not np.shares_memory(array, points)
 
 
 def test_an_ignore_map_that_leaves_no_background_is_named(chair):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.arrays import Array, Bits
+from ..geometry.arrays import Array, Bits, as_numbers
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.view import View
 from .control_points import CONTROL_POINTS
@@ -44,8 +44,9 @@ class Cloud:
         predicted: bool = False,
         faint: Bits | None = None,
     ) -> None:
-        # In rows: every loop would be compiled anew for columns.
-        self.points: Array = np.ascontiguousarray(as_points(as_numpy(points), name))
+        # In rows: every loop would be compiled anew for columns. A copy: what the caller does to
+        # the points later is no matter of the result.
+        self.points: Array = np.array(as_points(as_numpy(points), name), order="C")
         self.name = name
         self.predicted = predicted
         self.colours = (
@@ -159,18 +160,12 @@ def as_numpy(values: Any) -> Any:
 
 
 def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:
-    try:
-        array = np.asarray(colours)
-        as_floats: NDArray[np.float32] = array.astype(np.float32)
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{name}: the colours are not an array of numbers, expected [{count}, 3]"
-        ) from None
+    as_floats: NDArray[np.float32] = as_numbers(colours, f"{name}: the colours", np.float32)
     if as_floats.shape != (count, 3):
         raise InputError(
             f"{name}: the colours have shape {list(as_floats.shape)}, expected [{count}, 3]"
         )
-    if array.dtype == np.uint8:
+    if np.asarray(colours).dtype == np.uint8:
         as_floats = as_floats / np.float32(255.0)
     if not (as_floats.min() >= 0.0 and as_floats.max() <= 1.0):
         found = f"{as_floats.min():g} to {as_floats.max():g}"

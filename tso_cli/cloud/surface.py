@@ -9,13 +9,16 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.points import CANDIDATES, as_triangles, draw_surface, spread_subset
+from ..losses.nearest import nearest_few
 from .smooth_field import INTERPOLATED_FROM, falling_weights
 
-# The displacements of control points are corrected by a dense linear system of this size.
 MOST_CONTROL_POINTS = 4096
 # Weight of changing a control point's displacement. The weight of the distance between the control
 # point and where the faces carry it is 1.
 RIDGE = 0.1
+# The displacements of control points are corrected by a linear system, up to this relative error,
+# which takes about 35 steps.
+SOLVED, MOST_SOLVER_STEPS = 1e-10, 500
 
 
 class Surface:
@@ -91,19 +94,58 @@ class SurfaceSamples:
         Only its position decides how a vertex moves: duplicates, as along texture seams, stay
         together.
         """
-        from scipy.spatial import cKDTree
-
-        surface = self._surface
-        distance, nearest = cKDTree(self.control_points).query(surface.vertices, INTERPOLATED_FROM)
+        surface, count = self._surface, len(displacements)
+        if not displacements.any():
+            return np.zeros_like(surface.vertices)
+        places, place = np.unique(surface.vertices, axis=0, return_inverse=True)
+        place = place.ravel()
+        near = nearest_few(places, self.control_points, min(INTERPOLATED_FROM, count))
+        distance = np.sqrt(np.square(places[:, None] - self.control_points[near]).sum(2))
         weights = falling_weights(distance)
-        count = len(displacements)
-        # [S, S]: how far the faces carry each control point, by the displacement of every one.
-        carried = np.zeros((count, count))
-        rows = np.arange(count)[:, None, None]
-        corners, shares = surface.corners[self._chosen], surface.shares[self._chosen]
-        np.add.at(carried, (rows, nearest[corners]), shares[..., None] * weights[corners])
-        normal = carried.T @ carried + RIDGE * np.eye(count)
-        lag = displacements - carried @ displacements
-        corrected = displacements + np.linalg.solve(normal, carried.T @ lag)
-        of_vertices: Array = (weights[..., None] * corrected[nearest]).sum(1)
-        return of_vertices
+        corners, shares = place[surface.corners[self._chosen]], surface.shares[self._chosen]
+        # How far the faces carry each control point: ``weight`` [S, K] of the displacements ``of``.
+        of = near[corners].reshape(count, -1)
+        weight = (shares[..., None] * weights[corners]).reshape(count, -1)
+        lag = displacements - _carried(weight, of, displacements)
+        corrected = displacements + _least_squares(weight, of, lag)
+        of_places: Array = np.einsum("nk,nkc->nc", weights, corrected[near])
+        return of_places[place]
+
+
+def _carried(weight: Array, of: Indices, values: Array) -> Array:
+    """[S, C], the product of a sparse matrix with ``weight`` in the columns ``of`` [S, K]."""
+    carried: Array = np.einsum("sk,skc->sc", weight, values[of])
+    return carried
+
+
+def _least_squares(weight: Array, of: Indices, right: Array) -> Array:
+    """The ``x`` that minimises ``|A x - right|^2 + RIDGE |x|^2``, for the matrix of `_carried`.
+
+    By conjugate gradients: the ridge makes the system so well conditioned that a few dozen steps
+    do, in a fraction of the time of a dense solution.
+    """
+    flat = of.ravel()
+
+    def transposed(values: Array) -> Array:
+        return np.stack(
+            [
+                np.bincount(flat, (weight * column[:, None]).ravel(), len(right))
+                for column in values.T
+            ],
+            1,
+        )
+
+    residual = transposed(right)
+    x, direction = np.zeros_like(residual), residual.copy()
+    before = first = float(np.square(residual).sum())
+    for _ in range(MOST_SOLVER_STEPS):
+        if before <= SOLVED**2 * first:
+            break
+        product = transposed(_carried(weight, of, direction)) + RIDGE * direction
+        step = before / float((direction * product).sum())
+        x += step * direction
+        residual -= step * product
+        now = float(np.square(residual).sum())
+        direction = residual + now / before * direction
+        before = now
+    return x

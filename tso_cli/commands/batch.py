@@ -162,10 +162,10 @@ def _run(
 
 def _compiled(quiet: bool) -> bool:
     """Whether loops are compiled, which is done here if they are not."""
-    from ..kernels.dispatch import importable, on_disk
+    from ..kernels.dispatch import on_disk, usable
     from ..refinement.api import compile_loops
 
-    if not importable("numba"):
+    if not usable():
         return False
     if not on_disk():
         if not quiet:

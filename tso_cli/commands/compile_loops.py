@@ -6,7 +6,10 @@ import time
 
 import click
 
+from ..errors import TsoError
 from . import options
+
+ANOTHER_FOLDER = "set NUMBA_CACHE_DIR to a folder that can be written"
 
 
 @click.command("compile")
@@ -22,7 +25,28 @@ def command() -> None:
     tso, numba or Python changes.
     """
     begun = time.perf_counter()
+    from ..kernels.dispatch import importable, kept, switched_off
     from ..refinement.api import compile_loops
 
+    if not importable("numba"):
+        raise TsoError("numba cannot be imported, expected it: it compiles the loops")
+    if switched_off():
+        raise TsoError(
+            "numba is switched off (NUMBA_DISABLE_JIT), expected it on; numpy does the work"
+        )
+    if kept()[0] is None:
+        raise TsoError(
+            "the compiled loops cannot be kept: neither the folder of the package nor the user's "
+            f"cache folder can be written, expected one; {ANOTHER_FOLDER}"
+        )
     compile_loops()
-    options.log(f"tso: the loops are compiled ({time.perf_counter() - begun:.0f} s)")
+    folder, found, of_all = kept()
+    if found < of_all:
+        raise TsoError(
+            f"{folder}: holds {found} of {of_all} compiled loops, expected all; make room there, "
+            f"or {ANOTHER_FOLDER}"
+        )
+    options.log(
+        f"tso: {found} loops are compiled and kept in {folder} "
+        f"({time.perf_counter() - begun:.0f} s)"
+    )

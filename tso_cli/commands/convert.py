@@ -149,7 +149,7 @@ def _convert_cameras(
             texts = colmap_texts(named)
         folder.mkdir(exist_ok=True)
         for name, text in texts.items():
-            write_file(folder / name, text.encode(), overwrite=True)
+            write_file(folder / name, text.encode(errors="surrogateescape"), overwrite=True)
     elif to == "transforms":
         options.require_output(target, ".json", overwrite)
         with prefixed(f"{source}: "):

@@ -38,9 +38,8 @@ def digest_of(path: Path) -> str:
             return digest.hexdigest()
         for file in sorted(path.rglob("*")):
             status = file.stat()
-            digest.update(
-                f"{file.relative_to(path)} {status.st_size} {status.st_mtime_ns}".encode()
-            )
+            line = f"{file.relative_to(path)} {status.st_size} {status.st_mtime_ns}"
+            digest.update(line.encode(errors="surrogateescape"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({reason(error)})") from None
     return digest.hexdigest()

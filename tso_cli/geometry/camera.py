@@ -8,11 +8,12 @@ of the image that it belongs to.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..errors import InputError
-from .arrays import Array, Bits, Box
+from .arrays import LARGEST, Array, Bits, Box, as_numbers
 from .points import longest_side
 
 # The canonical camera is the camera of the CAPNet authors' code.
@@ -22,6 +23,7 @@ CANONICAL_FOCAL_AT_64 = 120.0  # pixels, for an image whose longer side is 64 pi
 MODELS = ("perspective", "orthographic")
 # The least depth of a visible point, in units of the cloud's longest side.
 NEAR = 1e-3
+MOST_PIXELS = 1_000_000_000  # of a side
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +45,8 @@ class Camera:
         for name, shape in (("K", (3, 3)), ("R", (3, 3)), ("t", (3,))):
             object.__setattr__(self, name, self._checked_array(name, shape))
         for name in ("width", "height"):
-            object.__setattr__(self, name, self._checked_size(name))
-        if self.model not in MODELS:
+            object.__setattr__(self, name, _checked_size(name, getattr(self, name)))
+        if not isinstance(self.model, str) or self.model not in MODELS:
             raise InputError(f"model is {self.model!r}, expected one of {', '.join(MODELS)}")
         if (np.abs(self.K[2] - [0.0, 0.0, 1.0]) > [1e-8, 1e-8, 1e-5]).any() or self.K[1, 0] != 0.0:
             raise InputError(
@@ -66,19 +68,14 @@ class Camera:
             )
 
     def _checked_array(self, name: str, shape: tuple[int, ...]) -> Array:
-        value = np.asarray(getattr(self, name), dtype=np.float64)
+        value: Array = as_numbers(getattr(self, name), name)
         if value.shape != shape:
             raise InputError(f"{name} has shape {list(value.shape)}, expected {list(shape)}")
         if not np.isfinite(value).all():
             raise InputError(f"{name} holds a number that is not finite, expected finite ones")
+        if (largest := np.abs(value).max()) > LARGEST:
+            raise InputError(f"{name} holds {largest:g}, expected at most {LARGEST:g}")
         return value
-
-    def _checked_size(self, name: str) -> int:
-        size = getattr(self, name)
-        number = isinstance(size, (int, float, np.integer)) and not isinstance(size, bool)
-        if not number or not size >= 1 or size % 1:
-            raise InputError(f"{name} is {size!r}, expected a whole number of pixels, 1 or more")
-        return int(size)
 
     @classmethod
     def canonical(cls, width: int, height: int) -> Camera:
@@ -87,6 +84,7 @@ class Camera:
         The cloud is aligned with the view (x right, y up, z toward the viewer). Its centre is 2
         units away. The focal length is 120 px for each 64 px of the longer side.
         """
+        width, height = _checked_size("width", width), _checked_size("height", height)
         K = intrinsics(CANONICAL_FOCAL_AT_64 * max(width, height) / 64.0, width, height)
         return cls(K, CANONICAL_ROTATION, np.array([0.0, 0.0, CANONICAL_DISTANCE]), width, height)
 
@@ -140,6 +138,15 @@ class Camera:
         if self.model == "perspective":
             visible &= depth > NEAR * longest_side(points)
         return pixels, depth, visible
+
+
+def _checked_size(name: str, size: Any) -> int:
+    number = isinstance(size, (int, float, np.integer)) and not isinstance(size, bool)
+    if not number or not 1 <= size <= MOST_PIXELS or size % 1:
+        raise InputError(
+            f"{name} is {repr(size)[:40]}, expected a whole number of pixels, 1 or more"
+        )
+    return int(size)
 
 
 def _advice_for(R: Array, determinant: float) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from .arrays import Array, Indices
+from .arrays import LARGEST, Array, Indices, as_numbers
 
 Number = TypeVar("Number", bound=np.generic)
 
@@ -23,7 +23,7 @@ def as_points(points: ArrayLike, name: str = "cloud") -> Array:
 
     Raises InputError, which begins with ``name``, if they are anything else.
     """
-    array = np.asarray(points, dtype=np.float64)
+    array: Array = as_numbers(points, f"{name}: what was given")
     if array.ndim != 2 or array.shape[1] != 3:
         raise InputError(f"{name}: shape is {list(array.shape)}, expected points [N, 3]")
     if len(array) == 0:
@@ -33,6 +33,10 @@ def as_points(points: ArrayLike, name: str = "cloud") -> Array:
         raise InputError(
             f"{name}: point {int(np.argmin(finite))} has a NaN or infinite coordinate, "
             "expected numbers"
+        )
+    if not (largest := max(array.max(), -array.min())) <= LARGEST:
+        raise InputError(
+            f"{name}: the largest coordinate is {largest:g}, expected at most {LARGEST:g}"
         )
     return array
 

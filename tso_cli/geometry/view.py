@@ -9,8 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import Array, Bits, Box, Floats, Indices
+from .arrays import Array, Bits, Box, Floats, Indices, as_numbers
 from .camera import Camera
+
+# In units of the camera. Sums of squares of larger depths lose precision or overflow.
+LARGEST_DEPTH = 1e15
 
 
 class Speck:
@@ -47,9 +50,12 @@ class View:
     image: Floats | None = None
 
     def __post_init__(self) -> None:
-        mask = np.asarray(self.mask, dtype=np.float32)
-        if mask.ndim != 2:
+        mask: Floats = as_numbers(self.mask, f"{self.name}: the mask", np.float32)
+        if mask.ndim != 2 or mask.size == 0:
             raise InputError(f"{self.name}: mask has shape {list(mask.shape)}, expected [H, W]")
+        if not isinstance(self.camera, Camera):
+            found = type(self.camera).__name__
+            raise InputError(f"{self.name}: its camera is of type {found}, expected a Camera")
         if not np.isfinite(mask).all() or mask.min() < 0.0 or mask.max() > 1.0:
             raise InputError(
                 f"{self.name}: mask values span {mask.min():g} to {mask.max():g}, expected 0 to 1"
@@ -67,12 +73,8 @@ class View:
             object.__setattr__(self, "image", self._checked_image(self.image))
         counted = mask
         if self.known is not None:
-            known = np.asarray(self.known, dtype=bool)
-            if known.shape != mask.shape:
-                raise InputError(
-                    f"{self.name}: the ignore map is {known.shape[1]}x{known.shape[0]}, "
-                    f"the mask is {width}x{height}, expected the same"
-                )
+            known = as_numbers(self.known, f"{self.name}: the ignore map", bool)
+            self._require_shape("ignore map", known, list(mask.shape))
             object.__setattr__(self, "known", known)
             counted = mask[known]
         self._require_both_sides(counted)
@@ -95,7 +97,7 @@ class View:
 
     def _checked_depth(self, depth: Array) -> Array:
         """A copy of the depth map, NaN where the depth is unknown."""
-        depth = np.array(depth, dtype=np.float64)
+        depth = as_numbers(depth, f"{self.name}: the depth map").copy()
         self._require_shape("depth map", depth, list(self.mask.shape))
         if self.camera.model != "perspective":
             raise InputError(
@@ -108,13 +110,18 @@ class View:
                 f"{self.name}: the smallest depth is {np.nanmin(depth):g}, "
                 "expected 0 (unknown) or more"
             )
+        if np.nanmax(depth, initial=0.0) > LARGEST_DEPTH:
+            raise InputError(
+                f"{self.name}: the largest depth is {np.nanmax(depth):g}, "
+                f"expected at most {LARGEST_DEPTH:g}"
+            )
         known = np.isfinite(depth) & (self.mask > 0.5)
         if not (known if self.known is None else known & self.known).any():
             raise InputError(f"{self.name}: no foreground pixel has a depth, expected some > 0")
         return depth
 
     def _checked_image(self, image: Floats) -> Floats:
-        image = np.asarray(image, dtype=np.float32)
+        image = as_numbers(image, f"{self.name}: the image", np.float32)
         self._require_shape("image", image, [*self.mask.shape, 3])
         low, high = image.min(), image.max()
         # This form of the condition refuses NaN too.

@@ -25,9 +25,12 @@ from ..geometry.arrays import Array, Indices
 from ..geometry.normals import rigid_turn, same_places, turned_normals
 from .checked import Checked, kind
 from .gltf_scene import (
+    COMPONENTS,
     JSON_CHUNK,
     MAGIC,
+    WIDTHS,
     document_of,
+    memory_of,
     objects_of,
     places_of,
     scene_text,
@@ -35,10 +38,8 @@ from .gltf_scene import (
     with_uri,
 )
 from .movable import MovableFile
-from .reading import plain, read_bytes
+from .reading import plain, read_bytes, require_memory
 
-_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 # What stands for 1 in colours of whole numbers.
 _FULL = {"u1": 255.0, "u2": 65535.0}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -102,6 +103,7 @@ class GltfFile(Checked, MovableFile):
         self._text, binary = scene_text(data, path)
         self._document = document_of(self._text, path)
         self._refuse_compression()
+        require_memory(path, memory_of(self._document))
         self._buffers = [
             self._buffer(number, buffer, binary)
             for number, buffer in enumerate(objects_of(self, self._document, "buffers"))
@@ -266,10 +268,10 @@ class GltfFile(Checked, MovableFile):
         if "sparse" in accessor:
             raise self.error(where, "sparse", "values without sparse storage; export it again")
         form, component = accessor.get("type"), accessor.get("componentType")
-        known = _COMPONENTS.get(component) if isinstance(component, int) else None
+        known = COMPONENTS.get(component) if isinstance(component, int) else None
         if not isinstance(form, str) or form not in types or known is None:
             name = plain(form) if isinstance(form, str) else kind(form)
-            *most, last = _COMPONENTS
+            *most, last = COMPONENTS
             components = f"{', '.join(map(str, most))} or {last}"
             wanted = f"{' or '.join(types)} of component type {components}"
             raise self.error(where, f"{name} of component type {kind(component)}", wanted)
@@ -277,7 +279,7 @@ class GltfFile(Checked, MovableFile):
         if not isinstance(view_number, int) or not 0 <= view_number < len(self._views):
             raise self.error(f"{where}.bufferView", kind(view_number), "the index of a view")
         view = self._views[view_number]
-        dtype, width = np.dtype(known), _WIDTHS[form]
+        dtype, width = np.dtype(known), WIDTHS[form]
         numbers = [
             (view.get("buffer", 0), f"bufferViews[{view_number}].buffer"),
             (view.get("byteOffset", 0), f"bufferViews[{view_number}].byteOffset"),

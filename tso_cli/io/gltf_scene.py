@@ -19,6 +19,10 @@ from .reading import json_reason
 
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", b"JSON", b"BIN\0"
 MOST_NODES = 100_000
+COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+# What a reader takes of a node's own copy of a mesh, in bytes.
+_BYTES_PER_VERTEX, _BYTES_PER_CORNER = 100, 60
 
 
 def scene_text(data: bytes, path: Path) -> tuple[str, bytes]:
@@ -60,6 +64,42 @@ def objects_of(checked: Checked, document: dict[str, Any], key: str) -> list[dic
     if len(values) > MOST_NODES:
         raise checked.error(key, f"a list of {len(values):,}", f"at most {MOST_NODES:,}")
     return values
+
+
+def memory_of(document: dict[str, Any]) -> int:
+    """About how many bytes the meshes of a scene take; each node has its own copy.
+
+    A few bytes of a file can stand for many: an accessor need not hold its values, and many nodes
+    can show one mesh. What is damaged counts as nothing; its reader says so.
+    """
+
+    def listed(of: dict[str, Any], key: str) -> list[dict[str, Any]]:
+        values = of.get(key)
+        values = values if isinstance(values, list) else []
+        return [value if isinstance(value, dict) else {} for value in values]
+
+    def at(index: Any, values: list[int]) -> int:
+        known = isinstance(index, int) and 0 <= index < len(values)
+        return values[index] if known else 0
+
+    counts, stored = [], 0
+    for accessor in listed(document, "accessors"):
+        count = accessor.get("count")
+        counts.append(max(count, 0) if isinstance(count, int) else 0)
+        form, component = accessor.get("type"), accessor.get("componentType")
+        if isinstance(form, str) and isinstance(component, int):
+            size = np.dtype(COMPONENTS.get(component, "i1")).itemsize
+            stored += counts[-1] * WIDTHS.get(form, 0) * size
+    meshes = []
+    for mesh in listed(document, "meshes"):
+        meshes.append(0)
+        for primitive in listed(mesh, "primitives"):
+            attributes = primitive.get("attributes")
+            position = attributes.get("POSITION") if isinstance(attributes, dict) else None
+            vertices = at(position, counts)
+            corners = at(primitive["indices"], counts) if "indices" in primitive else vertices
+            meshes[-1] += _BYTES_PER_VERTEX * vertices + _BYTES_PER_CORNER * corners
+    return stored + sum(at(node.get("mesh"), meshes) for node in listed(document, "nodes"))
 
 
 def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:

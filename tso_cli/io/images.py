@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Floats, Pixels
+from ..geometry.view import LARGEST_DEPTH
 from .output import atomic_output, check_output, reason
 from .reading import is_there, read_array, read_bytes, require_memory
 
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
     from PIL import Image
 
 PIXEL_LIMIT = 100_000_000
-# In units of the camera. Sums of squares of larger depths lose precision or overflow.
-LARGEST_DEPTH = 1e15
 FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "GIF", "BMP", "PPM")
 FILE_LIMIT = 1 << 31
 # Standard error is redirected while a TIFF is decoded: one thread at a time.

@@ -1,4 +1,4 @@
-"""Whether OFF and STL files are whole, before they are parsed; an error names the line."""
+"""Whether mesh files are whole and fit into memory, before they are parsed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ import struct
 from pathlib import Path
 
 from ..errors import InputError
-from .reading import shown
+from .checked import Checked
+from .gltf_scene import document_of, memory_of, objects_of, scene_text
+from .ply_body import BinaryBody, TextBody
+from .ply_header import parse_header
+from .reading import require_memory, shown
 
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL file
 _GLUED = re.compile(rb"\A(\s*OFF)(?=\d)")
@@ -47,6 +51,34 @@ def check_off(content: bytes, path: Path) -> None:
             f"{path}: ends early: it has {found:,} lines after its counts, which state "
             f"{vertices:,} {nouns[0]} and {faces:,} {nouns[1]}, expected a line for each"
         )
+
+
+def check_glb(content: bytes, path: Path) -> None:
+    """Raise InputError if a GLB needs more memory than is free, or lacks values of its meshes."""
+    text, _ = scene_text(content, path)
+    document = document_of(text, path)
+    checked = Checked()
+    checked.path = path
+    for number, accessor in enumerate(objects_of(checked, document, "accessors")):
+        if "bufferView" not in accessor and "sparse" not in accessor and accessor.get("count"):
+            raise checked.error(
+                f"accessors[{number}]",
+                "without values (it has no bufferView)",
+                "some; export it again, without compression",
+            )
+    require_memory(path, memory_of(document))
+
+
+def check_ply(content: bytes, path: Path) -> None:
+    """Raise InputError if a PLY file is not one, or ends before the rows that its header states."""
+    header = parse_header(content, path)
+    body: BinaryBody | TextBody = (
+        BinaryBody(content, path, header.size, header.order)
+        if header.order
+        else TextBody(content, path, header.size, header.lines)
+    )
+    for element in header.elements.values():
+        body.take_rows(element)
 
 
 def check_stl(content: bytes, path: Path) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
-from .mesh_checks import check_off, check_stl, parted
+from ..signals import waiting_signals
+from .mesh_checks import check_glb, check_off, check_ply, check_stl, parted
 from .obj import simplified
 from .output import reason, write_file
 from .ply import new_ply
@@ -21,6 +22,7 @@ from .reading import read_bytes
 from .textures import Pictures, Texture
 
 GREY = (170, 170, 170)  # the colour of faces that have no colour
+CHECKS = {"ply": check_ply, "off": check_off, "stl": check_stl, "glb": check_glb}
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
@@ -143,20 +145,21 @@ def _load_parts(
     path: Path, content: bytes, pictures: Pictures
 ) -> tuple[list[tuple[Any, Array, Indices]], dict[str, Pixels | None]]:
     """Each part of the file with its vertices and faces, and the picture of each geometry."""
-    import trimesh
-
+    with waiting_signals():
+        import trimesh
     # trimesh logs its own errors with a traceback. The one line that is raised below replaces them.
     log = logging.getLogger("trimesh")
     before = log.level
     log.setLevel(logging.CRITICAL + 1)
     try:
-        with np.errstate(all="ignore"), warnings.catch_warnings():
+        # trimesh takes Ctrl-C in the middle of a file for a part that cannot be read.
+        with np.errstate(all="ignore"), warnings.catch_warnings(), waiting_signals():
             warnings.simplefilter("ignore")
             kind = path.suffix.lower()[1:]
             if kind == "obj":
                 content = simplified(content)
-            elif kind in ("off", "stl"):
-                (check_off if kind == "off" else check_stl)(content, path)
+            elif kind in CHECKS:
+                CHECKS[kind](content, path)
                 content = parted(content) if kind == "off" else content
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
@@ -202,7 +205,8 @@ def new_mesh(suffix: str, points: Array, faces: Indices) -> bytes:
     Text has the digits that give the same numbers again.
     """
     if suffix in (".stl", ".glb"):
-        import trimesh
+        with waiting_signals():
+            import trimesh
 
         mesh = trimesh.Trimesh(points, faces, process=False)
         data = mesh.export(file_type=suffix[1:])

@@ -1,15 +1,19 @@
 """Output files are written whole or not at all, and replace another file only if the user asks.
 
-While NAME.SUFFIX is written it is the file .NAME.xxxxxxxxxxxx.SUFFIX in the same folder. The writer
-locks this temporary file. A temporary file without a lock was left by a run that was killed: the
-next run that writes the same file removes it. Long work that writes a file again and again holds a
-lock on .NAME.SUFFIX.lock in the same folder.
+While NAME.SUFFIX is written it is the file .NAME.xxxxxxxxxxxxxxxxxxxx.SUFFIX in the same folder. Of
+the letters x the first eight are a digest of the whole name, the others are random. The writer
+locks this temporary file. A temporary file that is some seconds old and has no lock was left by a
+run that was killed: the next run that writes the same file removes it. Long work that writes a file
+again and again holds a lock on .NAME.SUFFIX.lock in the same folder.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
+import stat
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,6 +21,8 @@ from pathlib import Path
 from ..errors import InputError
 
 _LONGEST_REASON = 200  # characters
+# Seconds. A younger temporary may belong to a writer that is about to lock it.
+_LEAST_AGE = 5.0
 
 
 def check_output(path: Path, overwrite: bool) -> None:
@@ -55,14 +61,10 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """
     try:
         target = Path(os.path.realpath(path))
-        temporary = target.with_name(f".{target.stem[:40]}.{os.urandom(6).hex()}{target.suffix}")
         _remove_abandoned(target)
-        # Creating the file here gives it the permissions of the user's umask, and makes sure that
-        # nobody else has a file of this name.
-        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        temporary, held = _new_temporary(target)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written ({reason(error)})") from None
-    held = lock(temporary)
     try:
         yield temporary
         # A full disk may become apparent only when the data leave the memory.
@@ -105,18 +107,52 @@ def _take_name(temporary: Path, target: Path) -> None:
         temporary.replace(target)
 
 
+def _stem(target: Path) -> str:
+    """How the names of the temporaries of ``target`` begin; those of no other file do."""
+    digest = hashlib.sha256(os.fsencode(target.name)).hexdigest()[:8]
+    return f".{target.stem[:40]}.{digest}"
+
+
+def _new_temporary(target: Path) -> tuple[Path, int | None]:
+    """A new file next to ``target``, and the handle that holds its lock, None without locks.
+
+    The lock is taken with the handle that made the file: no other process can remove it in between.
+    """
+    while True:
+        temporary = target.with_name(f"{_stem(target)}{os.urandom(6).hex()}{target.suffix}")
+        # Creating the file here gives it the permissions of the user's umask, and makes sure that
+        # nobody else has a file of this name.
+        handle = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        try:
+            import fcntl
+
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)  # another process is about to remove it
+            continue
+        except (ImportError, OSError):
+            os.close(handle)  # no locks here
+            return temporary, None
+        if os.fstat(handle).st_nlink:
+            return temporary, handle
+        os.close(handle)
+
+
 def _remove_abandoned(target: Path) -> None:
     """Remove the temporary files of ``target`` that killed runs have left."""
-    name = re.compile(rf"\.{re.escape(target.stem[:40])}\.[0-9a-f]{{12}}{re.escape(target.suffix)}")
+    name = re.compile(rf"{re.escape(_stem(target))}[0-9a-f]{{12}}{re.escape(target.suffix)}")
     with suppress(OSError), os.scandir(target.parent) as entries:
         for entry in entries:
-            if (
-                name.fullmatch(entry.name)
-                and entry.is_file(follow_symlinks=False)
-                and (held := lock(Path(entry))) is not None
-            ):
-                os.unlink(entry)
-                os.close(held)
+            if not name.fullmatch(entry.name):
+                continue
+            with suppress(OSError):  # its writer may be done by now
+                status = entry.stat(follow_symlinks=False)
+                young = time.time() - status.st_mtime < _LEAST_AGE
+                if young or not stat.S_ISREG(status.st_mode):
+                    continue
+                if (held := lock(Path(entry))) is not None:
+                    os.unlink(entry)
+                    os.close(held)
 
 
 @contextmanager

@@ -9,7 +9,8 @@ from __future__ import annotations
 import base64
 import io
 import json
-from collections.abc import Callable, Iterator
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,10 +19,13 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
-from .images import FORMATS, as_colours
-from .reading import shown
+from ..signals import waiting_signals
+from .images import FORMATS, PIXEL_LIMIT, as_colours
+from .reading import require_memory, shown
 
 _FORMATS = (*FORMATS, "TGA")
+# Bytes of a pixel of each picture, and of the one that is decoded.
+_KEPT, _DECODING = 8, 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +63,13 @@ class Pictures:
         self, path: Path, content: bytes, decode: bool, within: Path | None = None
     ) -> None:
         self.missing: list[str] = []
-        self.resolver: Any = _Folder(path, within, self._miss)
-        self._decode = decode
+        self.resolver: Any = _Folder(path, within, self._miss, self._opens)
+        self._path, self._decode = path, decode
         self._known: dict[int, tuple[Any, Pixels | None]] = {}
-        for name in _unreadable(content) if decode and path.suffix.lower() == ".glb" else ():
-            self._miss(name, "cannot be decoded")
+        self._pixels = [0, 0]  # of all pictures, and of the largest
+        for name, data in _embedded(content) if decode and path.suffix.lower() == ".glb" else ():
+            if not self._opens(data):
+                self._miss(name, "cannot be decoded")
 
     def take(self, geometry: Any) -> Pixels | None:
         """Take the picture [H, W, 3] off a part; None if there is none that can be used.
@@ -77,7 +83,8 @@ class Pictures:
             return None
 
     def _taken(self, geometry: Any) -> Pixels | None:
-        from trimesh.visual.material import SimpleMaterial
+        with waiting_signals():
+            from trimesh.visual.material import SimpleMaterial
 
         visual = geometry.visual
         material = visual.material
@@ -111,6 +118,22 @@ class Pictures:
             self._miss(name, "cannot be decoded")
             return None
 
+    def _opens(self, content: bytes) -> bool:
+        """Whether ``content`` is a picture; InputError where there is no memory for all of them."""
+        from PIL import Image
+
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # its size is checked here
+                with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
+                    size = image.width * image.height
+        except Exception:
+            return False
+        if self._decode and size <= PIXEL_LIMIT:  # a larger one is not decoded
+            self._pixels = [self._pixels[0] + size, max(self._pixels[1], size)]
+            require_memory(self._path, _KEPT * self._pixels[0] + _DECODING * self._pixels[1])
+        return True
+
     def _miss(self, name: str, why: str, kind: str = "texture") -> None:
         problem = f"the {kind} {shown(name)} {why}"
         if problem not in self.missing:
@@ -120,11 +143,19 @@ class Pictures:
 class _Folder:
     """The files below ``within`` that the mesh ``path`` may name.
 
-    ``miss`` is called for pictures that are missing or damaged.
+    ``miss`` is called for pictures that are missing or damaged, ``opens`` says whether one is
+    readable.
     """
 
-    def __init__(self, path: Path, within: Path | None, miss: Callable[..., None]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        within: Path | None,
+        miss: Callable[..., None],
+        opens: Callable[[bytes], bool],
+    ) -> None:
         self._folder, self._miss = path.absolute().parent.resolve(), miss
+        self._opens = opens
         self._within = self._folder if within is None else within.resolve()
 
     def get(self, name: str) -> bytes:
@@ -137,7 +168,7 @@ class _Folder:
             place = (self._folder / candidate).resolve()
             if place.is_relative_to(self._within) and place.is_file():
                 content = place.read_bytes()
-                if picture and not _opens(content):
+                if picture and not self._opens(content):
                     self._miss(name, "cannot be decoded")
                 return content
         if not slashed.lower().endswith(".bin"):
@@ -149,18 +180,9 @@ class _Folder:
     __getitem__ = get
 
 
-def _opens(content: bytes) -> bool:
-    from PIL import Image
-
-    try:
-        with Image.open(io.BytesIO(content), formats=_FORMATS):
-            return True
-    except Exception:
-        return False
-
-
-def _unreadable(content: bytes) -> Iterator[str]:
-    """Names of the base colours in a .glb file that are not pictures; trimesh ignores them."""
+def _embedded(content: bytes) -> list[tuple[str, bytes]]:
+    """Names and contents of the base colours in a .glb file; trimesh ignores damaged ones."""
+    found: dict[int, tuple[str, bytes]] = {}
     try:
         length = int.from_bytes(content[12:16], "little")
         header, buffer = json.loads(content[20 : 20 + length]), content[28 + length :]
@@ -178,8 +200,8 @@ def _unreadable(content: bytes) -> Iterator[str]:
                 data = base64.b64decode(image["uri"].partition("base64,")[2])
             else:
                 continue  # a file, which the resolver sees
-            if not _opens(data):
-                yield image.get("name") or f"number {number}"
+            found[number] = str(image.get("name") or f"number {number}"), data
     # trimesh reports what is wrong with the file.
     except Exception:
-        return
+        pass
+    return list(found.values())

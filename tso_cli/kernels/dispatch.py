@@ -19,6 +19,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from pathlib import Path
 
 
 class Seconds:
@@ -87,7 +88,7 @@ def use_compiled() -> bool:
 
 def _pays(seconds: float) -> bool:
     """Whether compiled loops, which save ``seconds``, save more than it takes to get them."""
-    if _earlier[0] + seconds < Seconds.TO_LOAD or not importable("numba"):
+    if _earlier[0] + seconds < Seconds.TO_LOAD or not usable():
         return False
     if seconds >= Seconds.TO_LOAD + Seconds.TO_COMPILE or on_disk():
         return True
@@ -100,11 +101,34 @@ def _pays(seconds: float) -> bool:
 
 def on_disk() -> bool:
     """Whether the machine code of all loops of a refinement is on disk."""
+    if not usable():
+        return False
+    found, of_all = kept()[1:]
+    return found == of_all
+
+
+def kept() -> tuple[Path | None, int, int]:
+    """Where machine code is kept, of how many loops of a refinement, and how many there are.
+
+    The folder is None if none can be written.
+    """
     for module in MODULES_OF_LOOPS:
         importlib.import_module(f".{module}", __package__)
-    from .jit import loops_on_disk
+    from .jit import folder_of_loops, loops_on_disk
 
-    return loops_on_disk()
+    return folder_of_loops(), *loops_on_disk()
+
+
+def usable() -> bool:
+    """Whether numba can compile loops; if it cannot be imported, warns and says why."""
+    return importable("numba") and not switched_off()
+
+
+def switched_off() -> bool:
+    """Whether the user has switched numba off (NUMBA_DISABLE_JIT), which imports numba."""
+    from numba import config
+
+    return bool(getattr(config, "DISABLE_JIT", False))
 
 
 @functools.cache

@@ -11,8 +11,6 @@ import hashlib
 import itertools
 import os
 import pickle
-import signal
-import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -24,6 +22,8 @@ import numpy as np
 from numba import njit
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numpy.typing import NDArray
+
+from ..signals import waiting_signals
 
 # What the loops take: float32 or float64, and bool.
 Array = NDArray[np.floating[Any]]
@@ -70,22 +70,63 @@ def tidy(folder: str) -> None:
                 path.unlink(missing_ok=True)
 
 
-def loops_on_disk() -> bool:
-    """Whether the machine code of all loops defined so far is on disk, newer than the sources."""
-    try:
+def folder_of_loops() -> Path | None:
+    """Where machine code is kept; None if no folder can be written, or numba is switched off."""
+    folders = [getattr(getattr(loop, "stats", None), "cache_path", None) for loop in _loops]
+    return Path(str(folders[0])) if folders and all(folders) else None
+
+
+def loops_on_disk() -> tuple[int, int]:
+    """Of how many loops machine code is on disk, newer than the sources, and how many there are.
+
+    The loops are those that were defined so far.
+    """
+    folder, found = folder_of_loops(), 0
+    with contextlib.suppress(OSError, ValueError):
         changed = _sources_changed()
-        caches = (Path(loop.stats.cache_path).glob(f"*.{loop.__name__}-*.nbi") for loop in _loops)
-        return all(any(index.stat().st_mtime >= changed for index in cache) for cache in caches)
-    except (AttributeError, OSError, TypeError, ValueError):
-        # No folder can be written, or numba is switched off.
-        return False
+        for loop in _loops if folder else ():
+            indices = Path(loop.stats.cache_path).glob(f"*.{loop.__name__}-*.nbi")
+            found += any(index.stat().st_mtime >= changed for index in indices)
+    return found, len(_loops)
 
 
 _warned: list[str] = []  # the folder that was warned of; one warning is enough
 
 
+@contextlib.contextmanager
+def _alone_in(folder: str) -> Iterator[None]:
+    """Inside, no other process is, if the system has locks."""
+    handle = None
+    with contextlib.suppress(ImportError, OSError):
+        import fcntl
+
+        handle = os.open(folder, os.O_RDONLY)
+        fcntl.flock(handle, fcntl.LOCK_EX)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
 class _CheckedFile(IndexDataCacheFile):
-    """Machine code on disk, followed by its digest. Damaged code would run, or end the process."""
+    """Machine code on disk, with what it is of, and followed by its digest.
+
+    Damaged code would run, or end the process, and so would code for other types.
+    """
+
+    def save(self, key: Any, data: Any) -> None:
+        """As numba, but of two processes each finds what the other wrote; the index comes last."""
+        with _alone_in(self._cache_path):
+            names = self._load_index()
+            numbered = map(self._data_name, itertools.count(1))
+            name = names.get(key) or next(one for one in numbered if one not in names.values())
+            self._save_data(name, (key, data))
+            self._save_index({**names, key: name})
+
+    def load(self, key: Any) -> Any:
+        found = super().load(key)
+        return found[1] if isinstance(found, tuple) and found[0] == key else None
 
     def _dump(self, obj: Any) -> bytes:
         data: bytes = super()._dump(obj)
@@ -129,27 +170,6 @@ class _Cache(FunctionCache):
                 self.flush()
 
 
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Inside, signals wait.
-
-    A KeyboardInterrupt raised in a callback of LLVM would be printed and ignored.
-    """
-    waiting: list[int] = []
-    before: dict[int, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-            if (number := getattr(signal, name, None)) and callable(signal.getsignal(number)):
-                before[number] = signal.signal(number, lambda number, frame: waiting.append(number))
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        if waiting:
-            signal.raise_signal(waiting[0])
-
-
 def kept_on_disk(function: Callable[..., Any], **changes: Any) -> Any:
     """``function``, compiled at its first call and kept on disk if a folder can be written.
 
@@ -157,7 +177,9 @@ def kept_on_disk(function: Callable[..., Any], **changes: Any) -> Any:
     rounds alike.
     """
     dispatcher = njit(**SETTINGS | changes)(function)
-    dispatcher.compile = _uninterrupted()(dispatcher.compile)
+    if dispatcher is function:
+        return function  # numba is switched off
+    dispatcher.compile = waiting_signals()(dispatcher.compile)
     # RuntimeError: neither the package's folder nor the user's cache folder can be written. The
     # function is then compiled in every process.
     with contextlib.suppress(RuntimeError):

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .dispatch import importable
+from .dispatch import importable, usable
 
 # Smaller batches are about as fast in plain torch, and need no compilation.
 POINTS_WORTH_COMPILING = 8192
@@ -25,7 +25,7 @@ def use_numba(points: Tensor) -> bool:
     """Whether compiled loops run on ``points`` [M, N, D]."""
     if points.device.type != "cpu" or points.dtype not in (torch.float32, torch.float64):
         return False
-    return points.shape[0] * points.shape[1] >= POINTS_WORTH_COMPILING and importable("numba")
+    return points.shape[0] * points.shape[1] >= POINTS_WORTH_COMPILING and usable()
 
 
 def triton_runs(points: Tensor) -> bool:

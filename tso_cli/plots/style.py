@@ -26,6 +26,7 @@ def page(
     check_output(path, overwrite)
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
     from PIL import Image
 
     figure = Figure(figsize=size, layout="constrained")
@@ -35,6 +36,9 @@ def page(
         axis.spines[["top", "right"]].set_visible(False)
         if not (len(axis.get_xticks()) or len(axis.get_yticks())):
             axis.set_axis_off()
+    for words in figure.findobj(Text):
+        # Names of files may hold what no font can draw.
+        words.set_text(words.get_text().encode("utf-8", "backslashreplace").decode())
     with atomic_output(path, overwrite) as temporary:
         figure.savefig(temporary, dpi=dpi)
         with Image.open(temporary) as picture:

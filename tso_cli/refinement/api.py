@@ -13,7 +13,7 @@ from ..diagnosis.hypotheses import Assumption
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..kernels import blas
-from ..kernels.dispatch import decided, on_disk, planned
+from ..kernels.dispatch import decided, on_disk, planned, usable
 from ..optimisation.loop import Progress
 from ..optimisation.presets import COMPARISON_STEPS, PRESETS
 from ..optimisation.settings import Settings
@@ -75,6 +75,8 @@ def refine(
         The loss of the start, or after the first step, is not a finite number.
     """
     views = as_views(masks, cameras)
+    if not isinstance(config, RefineConfig | None):
+        raise InputError(f"the config is of type {type(config).__name__}, expected a RefineConfig")
     settings = (config or RefineConfig()).settings(len(views))
     clock, parameters = Clock(), None
     with clock.phase("prepare"):
@@ -111,9 +113,9 @@ def work_of(settings: Settings, views: int, points: int) -> tuple[int, int]:
 def compile_loops(missing_only: bool = False) -> None:
     """Compile all loops that a refinement uses, and keep the machine code on disk.
 
-    With ``missing_only`` nothing is done if they are there.
+    With ``missing_only`` nothing is done if they are there, and nothing without numba.
     """
-    if missing_only and on_disk():
+    if not usable() or (missing_only and on_disk()):
         return
     mask = np.zeros((64, 64), np.float32)
     # Larger than the cloud, so that pixels look for their nearest points too.
@@ -121,4 +123,6 @@ def compile_loops(missing_only: bool = False) -> None:
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (600, 3))
     with decided(True):
         for preset in PRESETS:
-            refine(points, mask, config=RefineConfig(steps=3, preset=preset))
+            result = refine(points, mask, config=RefineConfig(steps=3, preset=preset))
+            if result.fit.stop_reason == "interrupted":
+                raise KeyboardInterrupt

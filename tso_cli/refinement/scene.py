@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..cloud.cloud import Cloud, as_numpy
 from ..diagnosis.findings import Finding
 from ..diagnosis.hypotheses import Assumption, as_meant, assumptions_of
 from ..errors import InputError
+from ..geometry.arrays import as_numbers
 from ..geometry.camera import Camera
 from ..geometry.view import View
 
@@ -47,6 +47,10 @@ def as_scene(
     if not isinstance(cloud, Cloud):
         cloud = Cloud(cloud, name)
     views = as_views(views)
+    if isinstance(assume, str) or not isinstance(assume, Iterable):
+        raise InputError(f"`assume` is {assume!r}, expected a sequence of names")
+    if others := [one for one in assume if not isinstance(one, (str, Assumption))]:
+        raise InputError(f"`assume` holds {others[0]!r}, expected names")
     texts = [one for one in assume if isinstance(one, str)]
     assumptions = [one for one in assume if isinstance(one, Assumption)]
     assumptions += assumptions_of(texts, [view.name for view in views]) if texts else ()
@@ -64,8 +68,12 @@ def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tu
     if getattr(masks, "ndim", None) == 2:
         masks = [masks]
     try:
-        arrays = [_as_array(mask) for mask in masks]
-    except (TypeError, ValueError):
+        listed = list(masks)
+    except TypeError:
+        listed = [""]
+    try:
+        arrays = [as_numbers(as_numpy(mask), "a mask", np.float32) for mask in listed]
+    except InputError:
         raise InputError(
             "masks are not arrays of numbers, expected one [H, W] or a sequence of them"
         ) from None
@@ -75,6 +83,11 @@ def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tu
         cameras = [Camera.canonical(mask.shape[1], mask.shape[0]) for mask in arrays]
     elif isinstance(cameras, Camera):
         cameras = [cameras]
+    if not (
+        isinstance(cameras, Sequence) and all(isinstance(camera, Camera) for camera in cameras)
+    ):
+        found = type(cameras).__name__
+        raise InputError(f"the cameras are of type {found}, expected a Camera for each mask")
     if len(arrays) == 0 or len(arrays) != len(cameras):
         raise InputError(
             f"found {len(arrays)} masks and {len(cameras)} cameras, expected one camera for each "
@@ -84,7 +97,3 @@ def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tu
     return tuple(
         View(mask, camera, name=f"mask {number}") for number, (mask, camera) in enumerate(pairs)
     )
-
-
-def _as_array(mask: Any) -> NDArray[np.float32]:
-    return np.asarray(as_numpy(mask), dtype=np.float32)

@@ -132,7 +132,9 @@ def render_folder(
         read = lru_cache(1)(partial(read_mesh, within=source if source.is_dir() else None))
         for done, (name, path, copy) in enumerate(waiting, 1):
             try:
-                rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+                rng = np.random.default_rng(
+                    [seed, zlib.crc32(name.encode(errors="surrogateescape"))]
+                )
                 mesh = read(path)
                 rendered = render_mesh(warp(normalise(mesh), rng) if copy else mesh, settings, rng)
             except InputError as error:

@@ -11,6 +11,7 @@ from ..errors import TsoError
 from ..geometry.arrays import Array, Pixels
 from ..geometry.camera import Camera
 from ..io.meshes import GREY, Mesh
+from ..signals import waiting_signals
 
 # Rays across one pixel, 25 in all. An odd number has no ties at half coverage, which would shift
 # outlines.
@@ -38,7 +39,8 @@ class RayScene:
 
     def __init__(self, mesh: Mesh) -> None:
         try:
-            import open3d
+            with waiting_signals():
+                import open3d
         except (ImportError, OSError) as error:
             if isinstance(error.__cause__, KeyboardInterrupt):  # Ctrl-C during the import
                 raise KeyboardInterrupt from None

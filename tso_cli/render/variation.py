@@ -9,6 +9,7 @@ import numpy as np
 
 from ..geometry.arrays import Indices
 from ..io.meshes import Mesh
+from ..signals import waiting_signals
 
 # Largest logarithm of the factor by which an axis is stretched. The other deformations scale with
 # it.
@@ -52,7 +53,8 @@ def connected_parts(faces: Indices, vertices: int) -> Indices:
 
     Faces that share a vertex are connected. ``vertices`` is the number of vertices.
     """
-    from trimesh.graph import connected_component_labels
+    with waiting_signals():
+        from trimesh.graph import connected_component_labels
 
     label = connected_component_labels(np.concatenate([faces[:, :2], faces[:, 1:]]), vertices)
     _, part = np.unique(label[faces[:, 0]], return_inverse=True)

@@ -85,9 +85,11 @@ class TrainingData:
         A resumed run must see the same data.
         """
         backgrounds = self.backgrounds.source if self.backgrounds else ""
-        digest = hashlib.sha256(f"{self.crop_share}/{self.background}/{backgrounds}".encode())
+        digest = hashlib.sha256(
+            f"{self.crop_share}/{self.background}/{backgrounds}".encode(errors="surrogateescape")
+        )
         for item in self.objects:
-            digest.update(f"{item.name}/{len(item.views)}".encode())
+            digest.update(f"{item.name}/{len(item.views)}".encode(errors="surrogateescape"))
         for index in evenly(len(self.objects), most=16):
             try:
                 first = self.prepared(index, 0)

@@ -19,6 +19,7 @@ from ...losses.silhouette import silhouette_bce
 from ...optimisation.loop import Array, Term
 from ...optimisation.presets import SIGMA_SQ
 from ...refinement import RefineConfig, refine
+from ..interrupts import uninterrupted
 from ..study import Cases
 from .refining import chair_views, cloud
 from .timing import FORMS, Contestant, Setting, timed
@@ -86,7 +87,10 @@ def measure_chamfer(setting: Setting, sizes: Sequence[int] = CLOUDS) -> Cases:
     for count in sizes:
         initial = cloud(count, setting.seed)
         configs = [RefineConfig(preset="paper", steps=steps) for steps in STEPS]
-        moved = [refine(initial, chair_views(), config=config).points for config in configs]
+        moved = [
+            uninterrupted(refine(initial, chair_views(), config=config)).points
+            for config in configs
+        ]
         contestants = [
             Contestant(name, timed(partial(_along, term, moved)), {"points": count}, len(moved))
             for name, term in terms(initial).items()

@@ -15,10 +15,10 @@ from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import trimesh
 from threadpoolctl import threadpool_limits
 
 from ...errors import TsoError
@@ -31,6 +31,8 @@ from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...scene.load import load_points_scene
+from ...signals import waiting_signals
+from ..interrupts import uninterrupted
 from ..study import Cases
 from ..views import views_around
 from .timing import (
@@ -171,9 +173,11 @@ def splat_file(count: int, seed: int) -> bytes:
     return "\n".join([*lines, "end_header", ""]).encode() + values.tobytes()
 
 
-def finer_mesh(faces: int) -> trimesh.Trimesh:
+def finer_mesh(faces: int) -> Any:
     """The shape that clouds are sampled from, its faces divided until there are enough."""
     start = read_mesh(START)
+    with waiting_signals():
+        import trimesh
     mesh = trimesh.Trimesh(start.vertices, start.faces, process=False)
     while len(mesh.faces) < faces:
         mesh = mesh.subdivide()
@@ -195,7 +199,7 @@ def measure_object(
     contestants = [IMPORT_TORCH]
     for preset, points, views, form, threads, busy in ways:
         config = RefineConfig(preset=preset, steps=steps)
-        work = partial(refine, cloud(points, setting.seed), chair_views(views), config=config)
+        work = partial(_refine, cloud(points, setting.seed), chair_views(views), config)
         fields = {"points": points, "preset": preset, "views": views, "form": form}
         fields |= {"threads": threads, "busy": busy}
         plural, neighbour = "s" if threads > 1 else "", ", busy neighbour" if busy else ""
@@ -226,8 +230,13 @@ def measure_batch(
     return setting.race("batch", contestants, "over_import_torch")
 
 
+def _refine(points: Array, views: list[View], config: RefineConfig) -> None:
+    uninterrupted(refine(points, views, config=config))
+
+
 def _refine_all(scenes: list, config: RefineConfig) -> None:
     for result in refine_batch(scenes, config):
+        uninterrupted(result)
         if isinstance(result, TsoError):
             raise result
 

@@ -12,7 +12,7 @@ import click
 from ...commands import options
 from ...errors import InputError
 from ...io.output import atomic_output, check_output, sole_writer
-from ...io.reading import read_bytes
+from ...io.reading import read_bytes, shown
 from ...io.shipped import named_checkpoint
 from ..options import Option
 from ..study import Progress, Record, Study, answer, page, undamaged
@@ -63,8 +63,17 @@ def earlier_record(study: str, output: Path | None, resume: bool) -> Record | No
 
 def read_record(path: Path) -> Record:
     """The record of a study; InputError if the file holds none."""
+
+    def refused(constant: str) -> None:
+        raise InputError(f"{path}: holds the number {constant}, expected one that JSON has")
+
+    content = read_bytes(path, "the record of a study")
     try:
-        record = json.loads(read_bytes(path, "the record of a study"))
+        record = json.loads(content, parse_constant=refused)
+        json.dumps(record, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        found = shown(error.object[error.start : error.end])
+        raise InputError(f"{path}: holds half a letter ({found}), expected whole ones") from None
     except (ValueError, RecursionError):
         raise InputError(f"{path}: is not JSON, expected the record of a study") from None
     if not isinstance(record, dict):
@@ -93,7 +102,7 @@ def write_page(study: Study, record: Record, output: Path) -> None:
     study.draw(output.with_suffix(".png"), record, True)
     with atomic_output(output.with_suffix(".md")) as temporary:
         more = sorted(path.name for path in output.parent.glob(f"{output.stem}.*.png"))
-        temporary.write_text(page(study, record, output.name, more))
+        temporary.write_text(page(study, record, output.name, more), encoding="utf-8")
 
 
 class Reporter:

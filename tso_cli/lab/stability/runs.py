@@ -18,8 +18,9 @@ from ...evaluation.metrics import chamfer
 from ...geometry.camera import Array
 from ...geometry.view import View
 from ...refinement import RefineConfig, RefineResult, refine_batch
+from ..interrupts import uninterrupted
 from ..studies.cases import Case
-from ..studies.refining import Variant, uninterrupted
+from ..studies.refining import Variant
 from ..study import Cases, Record
 from .axes import Axis
 from .knees import DOUBTFUL, NON_FINITE, REFUSED, SILENT, WARNED, digits, figures

@@ -25,6 +25,7 @@ from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
 from ...train import TrainConfig, train
 from ...train.sources import shipped_examples
+from ..interrupts import uninterrupted
 from ..views import views_around
 from .shapes import Shape, see
 
@@ -52,7 +53,7 @@ def _points(preset: str) -> Numbers:
     if preset == "best":
         seen["depth"] = [replace(view, depth=np.full(view.mask.shape, camera.t[2]))]
     for label, views in seen.items():
-        result = refine(scene.points, views, config=RefineConfig(preset=preset))
+        result = uninterrupted(refine(scene.points, views, config=RefineConfig(preset=preset)))
         numbers |= _figures(label, result, result.points)
     return numbers
 
@@ -64,6 +65,7 @@ def _network_modes(preset: str) -> Numbers:
     for mode in ("encoder", "encoder-decoder", "latent"):
         config = RefineConfig(mode, preset=preset, steps=12)
         result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
+        uninterrupted(result)
         numbers |= _figures(mode, result, scene.to_output(result.points))
     return numbers
 
@@ -74,7 +76,8 @@ def _camera_fit() -> Numbers:
     points, view, camera = scene.points, scene.view, scene.view.camera
     tilt = from_vectors(np.radians(10.0) * np.array([0.6, 0.64, 0.48]))
     turned = View(silhouette_of(points, camera), replace(camera, R=tilt @ camera.R))
-    corrected = refine(points, turned, config=RefineConfig(refine_camera=True)).cameras[0]
+    result = uninterrupted(refine(points, turned, config=RefineConfig(refine_camera=True)))
+    corrected = result.cameras[0]
     degrees = float(angle_between(corrected.R, camera.R))
     return {"IoU": fit_camera(points, view.mask).iou, "degrees": degrees}
 
@@ -91,7 +94,7 @@ def _training() -> Numbers:
         "points": replace(masks, supervision="points"),
     }
     return {
-        name: float(train(shipped_examples(), config).history[-1][0])
+        name: float(uninterrupted(train(shipped_examples(), config)).history[-1][0])
         for name, config in configs.items()
     }
 

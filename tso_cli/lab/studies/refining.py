@@ -10,6 +10,7 @@ from ...errors import TsoError
 from ...network.model import BaseNetwork
 from ...optimisation.presets import BEST, CONTROL_POINTS, Stage
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
+from ..interrupts import uninterrupted
 from .cases import Case
 
 
@@ -101,9 +102,10 @@ def refined(
     problems = [(case.initial, case.views[: variant.masks]) for case in cases]
     results = []
     for result in refine_batch(problems, variant.config):
+        uninterrupted(result)
         if isinstance(result, TsoError):
             raise result
-        results.append(uninterrupted(result))
+        results.append(result)
     return results
 
 
@@ -117,10 +119,3 @@ def alone(case: Case, variant: Variant, network: BaseNetwork | None) -> RefineRe
         return result
     then = uninterrupted(refine(result.points, views, config=variant.then))
     return replace(then, fit=replace(then.fit, iou_before=result.fit.iou_before))
-
-
-def uninterrupted(result: RefineResult) -> RefineResult:
-    """The result; KeyboardInterrupt where the optimisation kept its best after Ctrl-C."""
-    if result.fit.stop_reason == "interrupted":
-        raise KeyboardInterrupt
-    return result

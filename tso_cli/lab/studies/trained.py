@@ -14,6 +14,7 @@ from ...train import TrainConfig, train
 from ...train.data import TrainingData
 from .. import options
 from ..charts import Rows, draw_bars
+from ..interrupts import uninterrupted
 from ..options import Option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed
 from .discretised import DEPTH, projected_objective
@@ -113,9 +114,7 @@ class Comparison:
         config = TrainConfig(**{**budget, **own, **setting.changes})
         objective = projected_objective(config, setting.projection) if setting.projection else None
         report = lambda done, total, note: progress.report(doing, done, total)  # noqa: E731
-        result = train(data, config, objective=objective, progress=report)
-        if result.stop_reason == "interrupted":
-            raise KeyboardInterrupt
+        result = uninterrupted(train(data, config, objective=objective, progress=report))
         predicted = predict(result.network, unseen)
         return [{**case, "judged": distances(predicted), **self.measure(predicted, unseen)}]
 

@@ -23,9 +23,9 @@ from ...render import RayScene, RenderSettings
 from ...scene.network import network_scene
 from .. import options
 from ..charts import Panel, draw_ratios
+from ..interrupts import uninterrupted
 from ..options import Option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
-from .refining import uninterrupted
 from .shapes import RenderedShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
 from .summary import grouped, interval, mean, ratio_figures
 

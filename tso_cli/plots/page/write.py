@@ -95,6 +95,7 @@ def write_page(
         f"<!--\n{_read('three.LICENSE')}-->\n"
         f"<script>{library}</script>\n<script>{script}</script>\n</body></html>\n",
         encoding="utf-8",
+        errors="backslashreplace",  # names of files may hold bytes that are not UTF-8
         newline="\n",
     )
 

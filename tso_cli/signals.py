@@ -1,0 +1,31 @@
+"""Signals that wait until work that they would damage is done."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+@contextmanager
+def waiting_signals() -> Iterator[None]:
+    """Inside, SIGINT, SIGTERM and SIGHUP wait. Other threads than the main one get none anyway.
+
+    trimesh and open3d take any exception during their import for a missing part and go on, and a
+    KeyboardInterrupt in a callback of LLVM is printed and ignored.
+    """
+    waiting: list[int] = []
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            if (number := getattr(signal, name, None)) and callable(signal.getsignal(number)):
+                before[number] = signal.signal(number, lambda number, frame: waiting.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if waiting:
+            signal.raise_signal(waiting[0])
