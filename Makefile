@@ -15,7 +15,7 @@ check-python:
 $(VENV)/ready: pyproject.toml constraints.txt | check-python
 	@echo "creating $(VENV) (torch is the bulk of it) ..."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@$(PIP) --editable .
+	@$(PIP) --editable ".[network,plots]"
 	@touch $@
 
 $(VENV)/ready-to-test: $(VENV)/ready

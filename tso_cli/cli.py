@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 from .commands.options import LazyGroup
-from .errors import TsoError, is_interrupt
+from .errors import TsoError, is_interrupt, missing_extra
 from .version import __version__
 
 RESEARCH = "Studies and benchmarks of the method."
@@ -163,10 +163,10 @@ def main(arguments: list[str] | None = None) -> None:
     except (ImportError, SystemError) as error:
         if is_interrupt(error):
             code = _fail("interrupted", 130)
-        elif not isinstance(error, ImportError) or error.name != "torch":
+        elif (message := missing_extra(error)) is None:
             raise
         else:
-            code = _fail("networks need torch, which is not installed: pip install torch", 1)
+            code = _fail(message, 1)
     except (click.Abort, KeyboardInterrupt):
         code = _fail("interrupted", 130)
     except MemoryError:

@@ -61,7 +61,9 @@ def test_the_help_of_a_command_imports_no_torch(tmp_path):
     assert not _imported(tmp_path, *(f"{command} --help" for command in commands)) & set(HEAVY)
 
 
-NO_TORCH = "tso: error: networks need torch, which is not installed: pip install torch\n"
+NO_TORCH = (
+    "tso: error: networks need torch, which is not installed: pip install 'tso-cli[network]'\n"
+)
 
 
 @pytest.mark.parametrize(
