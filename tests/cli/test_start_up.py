@@ -50,6 +50,18 @@ def test_refining_points_imports_nothing_heavy(tmp_path, preset):
     assert not modules & set(HEAVY)
 
 
+def test_reading_and_writing_from_python_imports_nothing_heavy(tmp_path):
+    code = "import sys, tso_cli; before = {*sys.modules}; tso_cli.read_mask, tso_cli.draw_overlay\n"
+    code += "print('numpy' in before, *sys.modules, sep='\\n')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    numpy_before, *modules = done.stdout.splitlines()
+    assert numpy_before == "False"
+    assert "tso_cli.files" in modules
+    assert not set(modules) & set(HEAVY)
+
+
 def test_version_and_help_import_no_numbers(tmp_path):
     modules = _imported(tmp_path, "--version", "--help")
     assert "tso_cli.cli" in modules
