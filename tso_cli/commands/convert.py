@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import InputError
-from ..io.cameras import CameraRecord, camera_text, is_there, read_partial_cameras, words_of
-from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
-from ..io.clouds import NEW, check_rounding, read_cloud, write_cloud
 from ..io.output import check_output, write_file
 from . import options
 from .options import PATH
@@ -79,6 +76,8 @@ def command(
     says how the cloud or mesh is written: .ply, .npy, .xyz, or a mesh as .glb, .obj, .off or .stl.
     """
     if to is not None or target.suffix.lower() == ".json":
+        from ..io.cameras import read_partial_cameras
+
         read = read_partial_cameras(source, camera_format, object_id)
         _convert_cameras(source, read, target, to or "tso", size, overwrite)
         return
@@ -91,6 +90,8 @@ def command(
 
 
 def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
+    from ..io.clouds import NEW, check_rounding, read_cloud, write_cloud
+
     suffix = target.suffix.lower()
     if suffix not in (*NEW, *MESHES):
         raise InputError(
@@ -123,6 +124,9 @@ def _convert_cameras(
     size: tuple[int, int] | None,
     overwrite: bool,
 ) -> None:
+    from ..io.cameras import CameraRecord, camera_text, words_of
+    from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
+
     views, found = read
     cameras = [_complete(view, source, size) for view in views]
     folder = target if to == "colmap" else target.parent
@@ -156,6 +160,8 @@ def _convert_cameras(
 
 def _picture(view: PartialCamera, number: int, folder: Path) -> str:
     """The path of a view's picture, relative to ``folder``; else a name that a file may have."""
+    from ..io.cameras import is_there
+
     file = view.image or view.mask
     if view.names and (file is None or not is_there(file)):
         name = view.names[0].replace("\\", "/")
