@@ -59,6 +59,7 @@ def test_points_mode_batches_and_measures_need_no_extra(plain, tmp_path):
         "convert a.ply a.npy",
         f"mask {mask}",
         "batch items.csv -o out",
+        "doctor",
         *(f"{name} --help" for name in ("render", "train", "curves", "export", "lab")),
     ]
     script = "import sys\nfrom tso_cli.cli import main\nif __name__ == '__main__':\n"

@@ -43,7 +43,9 @@ SECTIONS = {
         "curves": ("tso_cli.commands.curves", "Draw the losses of trainings."),
         "export": ("tso_cli.commands.export", "Write a smaller copy of a network."),
     },
-    "Speed": {
+    "Set-up": {
+        "doctor": ("tso_cli.commands.doctor", "Say what is installed, and how to get the rest."),
+        "demo": ("tso_cli.commands.demo", "Refine the shipped chair, and judge the result."),
         "compile": (
             "tso_cli.commands.compile_loops",
             "Compile the loops for large clouds once, ahead of time.",
