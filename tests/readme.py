@@ -369,6 +369,45 @@ def objects() -> str:
     )
 
 
+def scale() -> str:
+    """What many items cost, from the measured pace of the long batch."""
+    study = record("scale")
+    pace = {row["way"]: row["items_per_second"] for row in study["cases"] if "way" in row}
+    cores = study["settings"]["machine"]["cores"]
+    each = cores / pace["tso batch"]
+    rows = []
+    for items in (1_000, 100_000, 10_000_000):
+        row = [f"{items:,}", *(_duration(items * each / many) for many in (cores, 64, 1024))]
+        rows.append([*row, _bytes(items * 21_000), _bytes(items * 700)])
+    header = ["items", f"{cores} cores", "64 cores", "1,024 cores", "results, records", "journal"]
+    text = (
+        f"`tso batch` does {pace['tso batch']:.1f} items a second on {cores} cores, that is "
+        f"{pace['tso batch'] / pace['shell loop']:.1f} times a shell loop\nover `tso refine` and "
+        f"{pace['tso batch'] / pace['refine_batch']:.2f} times `refine_batch` "
+        "([record](records/scale.md)). At this pace:"
+    )
+    parent = pace["items that take no time"]
+    feeds = round(parent * each, -1)
+    limit = (
+        "The parent process reads the manifest and keeps the journal. It is one process, so it is "
+        f"what ends the growth:\nit hands out at most {parent:,.0f} items a second, as many as "
+        f"{feeds:,.0f} cores do."
+    )
+    return f"{text}\n\n{markdown(header, rows)}\n\n{limit}"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.0f} h" if seconds < 172_800 else f"{seconds / 86400:.0f} days"
+
+
+def _bytes(count: float) -> str:
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+
+
 def batches() -> str:
     """Milliseconds a cloud in batches."""
     timed = [
@@ -476,7 +515,7 @@ FIGURES = (
     network,
     photos,
 )
-FIGURES += (machine, installation, objects, batches, kernels, record_minutes, stages)
+FIGURES += (machine, installation, objects, batches, scale, kernels, record_minutes, stages)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
 FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}
 

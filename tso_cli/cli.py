@@ -16,7 +16,7 @@ from typing import Any
 
 import click
 
-from .commands.options import LazyGroup
+from .commands.options import CONTEXT, LazyGroup
 from .errors import TsoError, is_interrupt, missing_extra
 from .version import __version__
 
@@ -61,7 +61,7 @@ SECTIONS = {
 @click.group(
     cls=LazyGroup,
     sections=SECTIONS,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    context_settings=CONTEXT,
 )
 @click.version_option(__version__, prog_name="tso")
 def tso() -> None:

@@ -18,6 +18,7 @@ from tests.scenes import EXAMPLES
 from tso_cli.batch.journal import ENDS, entries
 from tso_cli.io.clouds import read_cloud, write_cloud
 
+ROOT = Path(__file__).parents[2]
 CHAIR, CAR = EXAMPLES / "chair", EXAMPLES / "car"
 FEW = "--preset paper --steps 2"  # a quick run
 linux = pytest.mark.skipif(sys.platform != "linux", reason="kills processes by /proc")
@@ -136,7 +137,7 @@ def test_a_record_repeats_its_run_wherever_it_is_read(folder, tso, monkeypatch):
     first = ("refine", "initial.ply", "mask.png", "--steps", 3, "--preset", "paper", "--record")
     Path("in").mkdir()
     assert tso(*first, "-o", "in/first.ply").code == 0
-    record = json.loads(Path("in/first.json").read_text())
+    record = json.loads(Path("in/first.record.json").read_text())
     assert record["schema"] == 1
     assert set(record["inputs"]) == {"initial.ply", "mask.png", "camera.json"}
     assert record["options"]["masks"] == ["../mask.png"]
@@ -144,7 +145,7 @@ def test_a_record_repeats_its_run_wherever_it_is_read(folder, tso, monkeypatch):
     before = Path("in/first.ply").read_bytes()
     monkeypatch.chdir("in")
     Path("first.ply").unlink()
-    assert tso("refine", "--config", "first.json", "-q").code == 0
+    assert tso("refine", "--config", "first.record.json", "-q").code == 0
     assert Path("first.ply").read_bytes() == before
 
 
@@ -285,3 +286,90 @@ def test_the_index_shows_every_item_with_its_last_end(items, tso):
     }  # fmt: skip
     assert Path("out/pictures/in/<b>.ply.png").is_file()
     assert "<b>" not in page
+
+
+def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
+    pytest.importorskip("fsspec")
+    for name in ("initial.ply", "mask.png", "camera.json"):
+        shutil.copy(CHAIR / name, name)
+    here = f"file://{tmp_path}"
+    items(
+        "cloud,mask,camera,output,steps,preset",
+        f"{here}/initial.ply,{here}/mask.png,{here}/camera.json,{here}/far/a.ply,2,paper",
+        "initial.ply,mask.png,camera.json,b.ply,2,paper",
+        f"{here}/nothing.ply,mask.png,camera.json,c.ply,2,paper",
+    )
+    found = tso("batch", "items.csv", "-o", "out", "-q", "--json")
+    assert found.code == 3
+    (refused,) = json.loads(found.out)["not_done"]
+    assert refused["reason"] == f"{here}/nothing.ply: does not exist, expected a file"
+    results = [read_cloud(path).points for path in ("far/a.ply", "out/b.ply")]
+    np.testing.assert_array_equal(*results)
+    assert sorted(path.name for path in Path("far").iterdir()) == ["a.ply", "a.record.json"]
+    again = json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)
+    assert again["skipped"] == 2
+    os.utime("initial.ply", (0, 0))
+    assert json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)["done"] == 1
+    Path("out/journal.jsonl").unlink()
+    assert (
+        "exists already"
+        in json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)["not_done"][0][
+            "reason"
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "initial.ply mask.png",
+        "initial.ply mask.png --preset paper --steps 2",
+        "initial.ply mask.png --steps 0",
+        "initial.ply mask.png --camera fit --write-camera fitted.json",
+        "initial.ply mask.png --refine-camera --assume mask-flipped",
+        "image.png mask.png --mode encoder --steps 1",
+    ],
+)
+def test_a_record_is_as_its_schema_says(folder, tso, arguments):
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads((ROOT / "tso_cli/schemas/record.schema.json").read_text())
+    jsonschema.Draft202012Validator.check_schema(schema)
+    assert tso("refine", *arguments.split(), "--record", "-o", "r.ply", "-q").code == 0
+    record = json.loads(Path("r.record.json").read_text())
+    jsonschema.validate(record, schema)
+    unknown = record.keys() - schema["properties"].keys()
+    assert not unknown
+
+
+def recipe(*words):
+    """The line of docs/scale.md that holds the words."""
+    lines = (ROOT / "docs/scale.md").read_text().splitlines()
+    (line,) = [line for line in lines if all(word in line for word in words)]
+    return line
+
+
+@linux
+def test_the_recipe_for_slurm_does_every_item_once(items, tmp_path):
+    """`srun` only runs what it is given, as on a cluster of one machine."""
+    items(HEADER, *(row(f"{number}.ply") for number in range(3)))
+    line = recipe("srun", "SLURM_ARRAY_TASK_ID").replace("-j 16", "-q")
+    script = f'srun() {{ "$@"; }}\ntso() {{ {sys.executable} -m tso_cli "$@"; }}\n{line}\n'
+    for index in (1, 2):
+        variables = {"SLURM_ARRAY_TASK_ID": str(index), "SLURM_ARRAY_TASK_COUNT": "2"}
+        environment = os.environ | variables | {"PYTHONPATH": str(ROOT)}
+        subprocess.run(["sh", "-c", script], env=environment, cwd=tmp_path, check=True)
+    ends = [ends_of(path) for path in sorted(Path("results").glob("*.jsonl"))]
+    assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(3)}
+    assert not ends[0].keys() & ends[1].keys()
+
+
+@pytest.mark.skipif(not shutil.which("parallel"), reason="GNU parallel is not installed")
+def test_the_recipe_for_gnu_parallel_does_every_item_once(items, tmp_path):
+    items(HEADER, *(row(f"{number}.ply") for number in range(3)))
+    line = recipe("parallel", "--sshloginfile").replace("--sshloginfile machines.txt --wd .", "")
+    command = line.replace(" tso ", f" {sys.executable} -m tso_cli ").replace("{}/8", "{}/2")
+    command = command.partition(":::")[0] + "-q ::: 1 2"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run(["sh", "-c", command], env=environment, cwd=tmp_path, check=True)
+    ends = [ends_of(path) for path in sorted(Path("results").glob("*.jsonl"))]
+    assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(3)}

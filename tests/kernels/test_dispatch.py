@@ -15,9 +15,27 @@ from tso_cli.kernels.dispatch import importable, planned, use_compiled
 from tso_cli.kernels.tensors import use_numba
 
 
+@pytest.fixture(autouse=True)
+def new_process(monkeypatch):
+    """This process has not refined anything yet."""
+    monkeypatch.setattr(dispatch, "_earlier", [0.0])
+
+
+def test_a_process_that_goes_on_takes_the_loops_that_are_on_disk(monkeypatch):
+    """As in a notebook: each refinement alone is too small to load them."""
+    monkeypatch.setattr(dispatch, "on_disk", lambda: True)
+    used = []
+    for _ in range(12):
+        with planned(200, 0):
+            used.append(use_compiled())
+    assert not used[0]
+    assert used[-1]
+    assert used == sorted(used)
+
+
 @pytest.mark.parametrize("on_disk", [True, False])
 def test_small_work_is_left_to_numpy_and_large_work_compiled(monkeypatch, on_disk):
-    monkeypatch.setattr(dispatch, "_on_disk", lambda: on_disk)
+    monkeypatch.setattr(dispatch, "on_disk", lambda: on_disk)
     assert not use_compiled()
     with planned(1, 1):
         assert not use_compiled()
@@ -32,7 +50,7 @@ def test_small_work_is_left_to_numpy_and_large_work_compiled(monkeypatch, on_dis
 
 def test_work_that_repays_loading_but_not_compiling_needs_machine_code_on_disk(monkeypatch):
     for on_disk in (True, False):
-        monkeypatch.setattr(dispatch, "_on_disk", lambda on_disk=on_disk: on_disk)
+        monkeypatch.setattr(dispatch, "on_disk", lambda on_disk=on_disk: on_disk)
         with planned(50, 50 * 65536), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             assert use_compiled() == use_compiled() == on_disk
@@ -75,7 +93,7 @@ def test_tso_compile_keeps_every_loop_that_a_refinement_needs(tmp_path):
     script = (
         "from tso_cli.kernels import dispatch; from tso_cli.refinement.api import compile_loops\n"
     )
-    _python(script + "compile_loops(); assert dispatch._on_disk()", NUMBA_CACHE_DIR=str(tmp_path))
+    _python(script + "compile_loops(); assert dispatch.on_disk()", NUMBA_CACHE_DIR=str(tmp_path))
 
 
 REFINE = """

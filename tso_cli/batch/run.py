@@ -146,10 +146,10 @@ def run(
 
 
 def _end(item: str, outcome: Outcome, journal: Journal, summary: Summary, on_end: OnEnd) -> None:
-    told = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
+    line = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
     if outcome.reason:
-        told["reason"] = outcome.reason
-    journal.add(item, outcome.event, **told)
+        line["reason"] = outcome.reason
+    journal.add(item, outcome.event, **line)
     summary.add(item, outcome)
     on_end(item, outcome, summary)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,24 +11,21 @@ import click
 
 from ..batch.engines import ENGINES, engine
 from ..batch.journal import NAME, Journal, open_journal, read_journal
-from ..batch.manifest import CLOUD, MASK, OUTPUT, SEPARATOR, Item, read_manifest, shard_of
+from ..batch.manifest import read_manifest, shard_of
+from ..batch.remote import exists, is_remote
 from ..batch.run import Outcome, Summary, run, tasks_of
 from ..errors import InputError
-from ..io.clouds import output_suffix
-from ..io.reading import plain, shown
 from ..workers import cores
 from . import options
-from .batch_item import context_of, refine_command, refine_item, unchanged
+from .batch_arguments import arguments_of
+from .batch_item import refine_item, unchanged
 from .batch_page import INDEX, write_index
 from .options import PATH, choice, flag, option
-from .refine_record import in_folder, parameter_of
 
 NOT_ALL_DONE = 3
 """The exit code if an item failed, was refused or is doubtful."""
 INTERRUPTED = 130
 MOST_LISTED = 5
-# Options that a batch sets itself for each item.
-SET_BY_BATCH = ("record", "check", "quiet", "verbose", "as_json", "overwrite", "strict", "config")
 
 
 class Shard(click.ParamType):
@@ -96,9 +92,8 @@ def command(
     if scheduler is not None and engine != "dask":
         raise InputError(f"--scheduler {scheduler} is for --engine dask, found --engine {engine}")
     items = read_manifest(manifest)
-    folder = manifest if manifest.is_dir() else manifest.parent
     more = ["--strict"] if strict else []
-    named = _named(items, Path() if manifest.is_dir() else folder, output, more)
+    named = arguments_of(items, Path() if manifest.is_dir() else manifest.parent, output, more)
     if shard is not None:
         named = shard_of(named, shard)
     try:
@@ -123,96 +118,6 @@ def command(
     ctx.exit(INTERRUPTED if summary.interrupted else NOT_ALL_DONE if not_done else 0)
 
 
-def _named(
-    items: Sequence[Item], folder: Path, output: Path, more: list[str]
-) -> list[tuple[str, tuple[str, ...]]]:
-    """The name of each item's result in the folder ``output``, and its arguments, checked."""
-    named: list[tuple[str, tuple[str, ...]]] = []
-    places: dict[str, str] = {}
-    for item in items:
-        name, arguments = _arguments(item, folder, output)
-        _check(item, arguments)
-        if name in places:
-            raise InputError(
-                f"{item.place} has the output {plain(name)}, as {places[name]} has; expected "
-                f"another: name it in the column {OUTPUT}"
-            )
-        places[name] = item.place
-        named.append((name, (*more, *arguments)))
-    return named
-
-
-def _arguments(item: Item, folder: Path, output: Path) -> tuple[str, list[str]]:
-    """The name of an item's result, and the arguments of `tso refine`."""
-    parameters = {parameter.name: parameter for parameter in refine_command.params}
-    positional: list[str] = []
-    words: list[str] = []
-    for column, value in item.values.items():
-        name = parameter_of(column)
-        parameter = parameters.get(name)
-        if parameter is None or name in SET_BY_BATCH:
-            raise InputError(
-                f"{item.place}: the column {shown(column)} is no option of tso refine for an item, "
-                f"expected {CLOUD}, {MASK}, camera, {OUTPUT}, steps and so on"
-            )
-        if name == "output":
-            continue
-        values = _values(item, column, value, parameter)
-        if isinstance(parameter, click.Option) and parameter.is_flag:
-            words += [max(parameter.opts, key=len)] if _is_true(item, column, values) else []
-            continue
-        writes = name in ("overlay", "report", "write_camera")
-        placed = [str(in_folder(one, parameter, output if writes else folder)) for one in values]
-        if isinstance(parameter, click.Argument):
-            # The cloud comes before its masks, whatever the order of the columns.
-            positional = [*placed, *positional] if name == "source" else [*positional, *placed]
-        else:
-            words += [word for one in placed for word in (max(parameter.opts, key=len), one)]
-    cloud = Path(str(item.values[CLOUD]))
-    mode = str(item.values.get("mode", "points"))
-    suffix = output_suffix(cloud) if mode == "points" else ".ply"
-    name = str(item.values.get(OUTPUT, f"{cloud.stem}.refined{suffix}"))
-    if Path(name).is_absolute() or ".." in Path(name).parts:
-        raise InputError(
-            f"{item.place}: {OUTPUT} is {plain(name)}, expected a name below the folder of -o"
-        )
-    name = Path(name).as_posix()
-    return name, [*words, "-o", str(output / name), "--", *positional]
-
-
-def _values(item: Item, column: str, value: Any, parameter: click.Parameter) -> list[Any]:
-    several = parameter.nargs == -1 or getattr(parameter, "multiple", False)
-    values = value if isinstance(value, list) else [value]
-    if several and isinstance(value, str):
-        values = [one.strip() for one in value.split(SEPARATOR)]
-    if not several and len(values) != 1:
-        raise InputError(f"{item.place}: {column} has {len(values)} values, expected one")
-    for one in values:
-        if isinstance(one, (dict, list)) or one == "":
-            raise InputError(f"{item.place}: {column} is {shown(value)}, expected a value")
-        if one == "list":
-            raise InputError(f"{item.place}: {column} is list, expected a name from that list")
-    return values
-
-
-def _is_true(item: Item, column: str, values: list[Any]) -> bool:
-    known = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
-    found = known.get(str(values[0]).casefold())
-    if found is None:
-        raise InputError(f"{item.place}: {column} is {shown(values[0])}, expected true or false")
-    return found
-
-
-def _check(item: Item, arguments: list[str]) -> None:
-    """Raise InputError with row and column for a value that `tso refine` does not take."""
-    try:
-        context_of(arguments)
-    except click.UsageError as error:
-        parameter = getattr(error, "param", None)
-        column = f": {parameter.name.replace('_', '-')}" if parameter is not None else ""
-        raise InputError(f"{item.place}{column}: {error.format_message()}") from None
-
-
 def _run(
     named: list[tuple[str, tuple[str, ...]]],
     output: Path,
@@ -227,9 +132,11 @@ def _run(
     past = read_journal(journal.path)
 
     def refusal(item: str, known: bool) -> str:
-        if overwrite or known or not (output / item).exists():
+        place = item if is_remote(item) else output / item
+        there = exists(item) if is_remote(item) else (output / item).exists()
+        if overwrite or known or not there:
             return ""
-        return f"{output / item}: exists already, expected a new name or --overwrite"
+        return f"{place}: exists already, expected a new name or --overwrite"
 
     tasks = tasks_of(named, past, refusal)
     compiled = _compiled(quiet)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -11,6 +12,7 @@ from typing import Any
 
 import click
 
+from ..batch.remote import exists, is_remote, local, state_of
 from ..batch.run import Outcome, Task
 from ..errors import InputError, TsoError
 from ..io.output import atomic_output
@@ -21,8 +23,8 @@ from .refine_files import RefineInputs
 from .refine_record import digest_of, key_of
 from .refine_run import RefineRun
 
-# Errors of a disk or network that may be over after a moment: an item is tried so often, with a
-# pause of so many seconds before.
+# Errors of a disk or network that may be over after a moment, and the seconds to wait before each
+# attempt.
 PASSING = (
     errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY, errno.ECONNRESET,
     errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EREMOTEIO, errno.ENFILE,
@@ -32,21 +34,33 @@ PAUSES = (0.0, 0.5, 2.0)
 
 def context_of(arguments: Sequence[str]) -> click.Context:
     """What `tso refine` makes of its arguments; raises click's errors."""
-    return refine_command.make_context("refine", list(arguments))
+    # click keeps the help option of the first context for all later ones.
+    return refine_command.make_context("refine", list(arguments), **options.CONTEXT)
 
 
-def _inputs(ctx: click.Context) -> RefineInputs:
-    return options.pick(RefineInputs, ctx.params)
+def _key(task: Task) -> str:
+    """The key of an item: its settings, the contents of its files, the state of remote files."""
+    ctx = context_of(task.arguments)
+    files = options.pick(RefineInputs, ctx.params).files
+    states = [state_of(word) for word in task.arguments if is_remote(word) and word != task.item]
+    return key_of(
+        options.given(ctx), [*states, *(digest_of(file) for file in files if not _fetched(file))]
+    )
 
 
-def _key(ctx: click.Context) -> str:
-    return key_of(options.given(ctx), map(digest_of, _inputs(ctx).files))
+def _fetched(path: Path) -> bool:
+    """Whether a path was an address; `Path` has left it a single slash."""
+    return re.match(r"[a-z][a-z0-9+.-]+:/", path.as_posix()) is not None
 
 
 def unchanged(task: Task) -> bool:
     """Whether the inputs and settings of an item have the key of its last end."""
-    ctx = context_of(task.arguments)
-    return _key(ctx) == task.key and (not task.written or ctx.params["output"].is_file())
+    if not task.written:
+        return _key(task) == task.key
+    if is_remote(task.item):
+        return exists(task.item) and _key(task) == task.key
+    output: Path = context_of(task.arguments).params["output"]
+    return output.is_file() and _key(task) == task.key
 
 
 def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
@@ -74,7 +88,18 @@ def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
 
 
 def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | None) -> Outcome:
-    ctx = context_of(task.arguments)
+    key = _key(task)
+    with local(task.arguments, task.item if is_remote(task.item) else "") as arguments:
+        return _of_files(context_of(arguments), task.item, key, loops, pictures)
+
+
+def _of_files(
+    ctx: click.Context,
+    item: str,
+    key: str,
+    loops: AbstractContextManager[Any],
+    pictures: Path | None,
+) -> Outcome:
     chosen = dict(ctx.params)
     strict = chosen.pop("strict")
     for name in ("check", "quiet", "verbose", "as_json"):
@@ -83,7 +108,6 @@ def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | No
     # Files that are not of this batch were refused before; one of its own may be half of a result.
     chosen["overwrite"] = chosen["record"] = True
     output.parent.mkdir(parents=True, exist_ok=True)
-    key = _key(ctx)
     with ctx, loops, options.Warnings(quiet=True) as warned:
         run = RefineRun(chosen, options.given(ctx), warned.texts, False, strict, True, False, False)
         report, unwritten = run.work()
@@ -92,7 +116,7 @@ def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | No
             from ..plots.thumbnail import write_thumbnail
             from .batch_page import picture_of
 
-            picture = picture_of(pictures, task.item)
+            picture = picture_of(pictures, item)
             picture.parent.mkdir(parents=True, exist_ok=True)
             with atomic_output(picture, overwrite=True) as temporary:
                 write_thumbnail(temporary, report.result, report.scene.views)
@@ -101,6 +125,8 @@ def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | No
         name: options.plain(document[name])
         for name in ("verdict", "confidence", "iou_before", "iou_after", "output")
     }
+    if is_remote(item) and not unwritten:
+        values["output"] = item
     why = document["reason"] if doubtful else ""
     return Outcome("doubtful" if doubtful else "done", key, 0.0, why, values)
 
@@ -108,7 +134,7 @@ def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | No
 def _key_if_read(task: Task) -> str | None:
     """The key of an item that was refused; None if its files cannot be read."""
     try:
-        return _key(context_of(task.arguments))
+        return _key(task)
     except (TsoError, OSError, click.ClickException):
         return None
 

@@ -23,6 +23,8 @@ from ..errors import InputError, TsoError
 from ..io.output import check_output
 
 T = TypeVar("T")
+CONTEXT: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+"""Settings of the context of every command."""
 SHOW_ALL = "tso.show_all"
 """Key of a context's ``meta``: whether the help shows every option."""
 FIT = Path("fit")

@@ -196,7 +196,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option("--report", type=PATH, help="Interactive page of the result, .html.")
 @options.flag(
     "--record",
-    "Write a record of the run next to the result, .json: inputs, settings, decisions, findings.",
+    "Write NAME.record.json next to the result: inputs, settings, decisions, findings.",
 )
 @click.option(
     "--config",

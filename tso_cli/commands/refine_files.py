@@ -148,10 +148,11 @@ class RefineInputs:
 
     @property
     def files(self) -> list[Path]:
-        """All files that are read, without the checkpoint."""
-        cameras = [self.camera] if self.camera else filter(None, map(find_camera, self.masks))
-        known = [self.intrinsics] if self.intrinsics else []
-        return [self.source, *self.masks, *cameras, *known, *self.ignore, *self.depth, *self.image]
+        """All files that are read."""
+        cameras = [self.camera] if self.camera else map(find_camera, self.masks)
+        known = [*([] if self.fit else cameras), self.intrinsics, self.checkpoint]
+        given = [path for path in known if path is not None]
+        return [self.source, *self.masks, *given, *self.ignore, *self.depth, *self.image]
 
     @property
     def view_files(self) -> ViewFiles:

@@ -1,4 +1,4 @@
-"""The record of a run, from which it can be repeated, and the key that tells runs apart."""
+"""The record of a run, from which it can be repeated, and its key, which no other run has."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def digest_of(path: Path) -> str:
 
 
 def key_of(given: Mapping[str, Any], digests: Iterable[str]) -> str:
-    """What tells this run from another: the version, the options given, and the files' contents."""
+    """What no other run has: the version, the options given, and the files' contents."""
     settings = {
         name: value for name, value in sorted(given.items())
         if name not in OF_OUTPUT and not _has_path(value)
@@ -139,6 +139,6 @@ def in_folder(value: Any, parameter: click.Parameter, folder: Path) -> Any:
     if isinstance(value, (list, tuple)):
         return [in_folder(one, parameter, folder) for one in value]
     is_path = isinstance(parameter.type, options.FilePath) and isinstance(value, str)
-    if not is_path or Path(value) in (options.FIT, Path("default")):
+    if not is_path or "://" in value or Path(value) in (options.FIT, Path("default")):
         return value
     return str(folder / value)

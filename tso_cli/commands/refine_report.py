@@ -164,7 +164,7 @@ class RefineReport:
         return rows
 
     def record(self, warnings: list[str], command: str) -> str:
-        """The record of the run as JSON: the document, and what tells it from other runs."""
+        """The record of the run as JSON: the document, and its key, which no other run has."""
         from .refine_record import SCHEMA, digest_of, key_of, options_of
 
         assert self.outputs.record

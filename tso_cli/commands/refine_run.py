@@ -52,7 +52,7 @@ class RefineRun:
         source = self._inputs.source
         suffix = output_suffix(source) if self._inputs.mode == "points" else ".ply"
         output = chosen["output"] or Path(f"{source.stem}.refined{suffix}")
-        record = output.with_suffix(".json") if chosen["record"] else None
+        record = output.with_name(f"{output.stem}.record.json") if chosen["record"] else None
         named = {**chosen, "output": output, "own_suffix": suffix, "record": record}
         self._outputs = options.pick(RefineOutputs, named)
         self._refine_camera = chosen["refine_camera"]

@@ -44,7 +44,7 @@ _SCRIPT = """
 const data = JSON.parse(document.getElementById("rows").textContent);
 const columns = data.columns, body = document.querySelector("tbody");
 const search = document.getElementById("search"), only = document.getElementById("only");
-const more = document.getElementById("more"), told = document.getElementById("told");
+const more = document.getElementById("more"), count = document.getElementById("count");
 let by = "confidence", up = true, shown = data.rowsAtOnce;
 const numbers = new Set(["confidence", "iou_before", "iou_after", "seconds"]);
 
@@ -83,7 +83,7 @@ function draw() {
     }
     return line;
   }));
-  told.textContent = rows.length.toLocaleString("en") + " items";
+  count.textContent = rows.length.toLocaleString("en") + " items";
   more.hidden = rows.length <= shown;
   for (const head of document.querySelectorAll("th[data-key]"))
     if (head.dataset.key === by) head.setAttribute("aria-sort", up ? "ascending" : "descending");
@@ -127,7 +127,7 @@ def index_page(rows: Sequence[dict[str, Any]]) -> str:
         "</p>\n"
         '<div class="bar"><input id="search" type="search" placeholder="search" '
         'aria-label="search items"><select id="only" aria-label="show only">'
-        f'<option value="">all</option>{choices}</select><span id="told"></span></div>\n'
+        f'<option value="">all</option>{choices}</select><span id="count"></span></div>\n'
         f"<table><thead><tr><th>picture</th>{heads}</tr></thead><tbody></tbody></table>\n"
         '<p><button id="more">more</button></p>\n'
         f'<script type="application/json" id="rows">{as_json(data)}</script>\n'

@@ -1,4 +1,4 @@
-"""Many scenes, each of which is refined by itself: `refine_each` and `refine_batch`."""
+"""Many scenes, refined one by one: `refine_each` and `refine_batch`."""
 
 from __future__ import annotations
 
@@ -189,9 +189,9 @@ def _result_of(ended: Ended[_Job]) -> RefineResult | TsoError:
     if isinstance(error, KeyboardInterrupt):
         return _not_begun(ended.job.number)
     deaths = f", {ended.deaths} times" if ended.deaths > 1 else ""
-    told = TsoError(f"{where}: {str(error) or type(error).__name__}{deaths}")
-    told.__cause__ = error
-    return told
+    failure = TsoError(f"{where}: {str(error) or type(error).__name__}{deaths}")
+    failure.__cause__ = error
+    return failure
 
 
 def _on_cpu(scene: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Independent pieces of work in other processes, none of which can lose the work of another."""
+"""Independent pieces of work in other processes. If one dies, only its own piece is lost."""
 
 from .each import Ended, Here, each, is_death
 from .pool import WorkerDied, WorkerPool, cores

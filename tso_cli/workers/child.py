@@ -51,7 +51,7 @@ def _answer(message: bytes) -> bytes:
     try:
         return pickle.dumps(answer, pickle.HIGHEST_PROTOCOL)
     except Exception as error:
-        told = RuntimeError(f"{type(answer[1]).__name__} cannot be sent back ({error})")
-        return pickle.dumps((False, told), pickle.HIGHEST_PROTOCOL)
+        unsent = RuntimeError(f"{type(answer[1]).__name__} cannot be sent back ({error})")
+        return pickle.dumps((False, unsent), pickle.HIGHEST_PROTOCOL)
     finally:
         sys.stdout.flush()

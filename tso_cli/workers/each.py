@@ -1,4 +1,4 @@
-"""Many pieces of work on any executor, each of which ends with a result or an error."""
+"""Many pieces of work on any executor; each ends with a result or an error."""
 
 from __future__ import annotations
 
