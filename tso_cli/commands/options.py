@@ -27,6 +27,8 @@ CONTEXT: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_w
 """Settings of the context of every command."""
 SHOW_ALL = "tso.show_all"
 """Key of a context's ``meta``: whether the help shows every option."""
+CONFIG = "tso.config"
+"""Key of a context's ``meta``: the file of --config."""
 FIT = Path("fit")
 """What `--camera` takes instead of a file, to estimate the camera."""
 
@@ -354,7 +356,8 @@ def command_line() -> str:
         name = parameter.name or ""
         if context.get_parameter_source(name) is not click.core.ParameterSource.COMMANDLINE:
             continue
-        value = context.params[name]
+        # --config is not a parameter of the command, but where parameters come from.
+        value = context.params[name] if parameter.expose_value else context.meta[CONFIG]
         values = value if isinstance(value, tuple) else (value,)
         if isinstance(parameter, click.Argument):
             words += map(str, values)
