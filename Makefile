@@ -15,7 +15,7 @@ check-python:
 $(VENV)/ready: pyproject.toml constraints.txt | check-python
 	@echo "creating $(VENV) (torch is the bulk of it) ..."
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@$(PIP) --editable .
+	@$(PIP) --editable ".[network,plots]"
 	@touch $@
 
 $(VENV)/ready-to-test: $(VENV)/ready
@@ -25,13 +25,7 @@ $(VENV)/ready-to-test: $(VENV)/ready
 
 # Refine the shipped chair, judge it before and after, and draw it.
 demo: $(VENV)/ready
-	@mkdir -p demo
-	$(BIN)/tso refine --mode points examples/chair/initial.ply examples/chair/mask.png -o demo/chair.ply --overlay demo/chair.png --overwrite
-	@echo "before:"
-	$(BIN)/tso eval --chamfer examples/chair/initial.ply examples/chair/target.ply
-	@echo "after:"
-	$(BIN)/tso eval --chamfer demo/chair.ply examples/chair/target.ply
-	@echo "picture: demo/chair.png"
+	@$(BIN)/tso demo -o demo
 
 # open3d loads these when it is imported; rendering and training on meshes need it, refining does not.
 open3d-libraries: $(VENV)/ready-to-test

@@ -339,9 +339,9 @@ def installation() -> str:
     """How much is installed."""
     megabytes = record("speed")["settings"]["installed_MB"]
     return (
-        f"`pip install .` takes {megabytes['in all']:,} MB. "
-        f"Of this, torch (for CPUs), which only networks need, takes "
-        f"{megabytes['in all'] - megabytes['without torch']:,} MB."
+        f"`pip install .` takes {megabytes['without extras']:,} MB. "
+        f"`pip install '.[network]'` takes {megabytes['with the extra network']:,} MB, "
+        "with a torch for CPUs."
     )
 
 

@@ -8,12 +8,53 @@ from .version import __version__ as __version__
 
 if TYPE_CHECKING:
     from .errors import GateError, InputError, Interrupted, TsoError
+    from .evaluation.metrics import Chamfer, FScore, chamfer, emd, f_score, iou
+    from .files import (
+        draw_overlay,
+        read_camera,
+        read_cameras,
+        read_cloud,
+        read_depth,
+        read_image,
+        read_mask,
+        write_cameras,
+        write_cloud,
+        write_depth,
+        write_mask,
+    )
     from .geometry.camera import Camera
     from .geometry.view import View
+    from .io.clouds import PointCloud
+    from .optimisation.presets import Mode, Preset
+    from .pose import FittedCamera, fit_camera
     from .refinement import RefineConfig, RefineResult, refine, refine_batch, refine_each
+    from .train.mask_loss import MaskLoss
 
 _WHERE = {
     "Camera": "geometry.camera",
+    "Chamfer": "evaluation.metrics",
+    "FScore": "evaluation.metrics",
+    "FittedCamera": "pose",
+    "MaskLoss": "train.mask_loss",
+    "Mode": "optimisation.presets",
+    "PointCloud": "io.clouds",
+    "Preset": "optimisation.presets",
+    "chamfer": "evaluation.metrics",
+    "emd": "evaluation.metrics",
+    "f_score": "evaluation.metrics",
+    "fit_camera": "pose",
+    "iou": "evaluation.metrics",
+    "draw_overlay": "files",
+    "read_camera": "files",
+    "read_cameras": "files",
+    "read_cloud": "files",
+    "read_depth": "files",
+    "read_image": "files",
+    "read_mask": "files",
+    "write_cameras": "files",
+    "write_cloud": "files",
+    "write_depth": "files",
+    "write_mask": "files",
     "TsoError": "errors",
     "InputError": "errors",
     "GateError": "errors",
@@ -27,17 +68,45 @@ _WHERE = {
 }
 __all__ = [
     "Camera",
+    "Chamfer",
+    "FScore",
+    "FittedCamera",
     "GateError",
     "InputError",
     "Interrupted",
+    "MaskLoss",
+    "Mode",
+    "PointCloud",
+    "Preset",
     "RefineConfig",
     "RefineResult",
     "TsoError",
     "View",
+    "chamfer",
+    "draw_overlay",
+    "emd",
+    "f_score",
+    "fit_camera",
+    "iou",
+    "read_camera",
+    "read_cameras",
+    "read_cloud",
+    "read_depth",
+    "read_image",
+    "read_mask",
     "refine",
     "refine_batch",
     "refine_each",
+    "write_cameras",
+    "write_cloud",
+    "write_depth",
+    "write_mask",
 ]
+
+
+def __dir__() -> list[str]:
+    """What an editor offers."""
+    return __all__
 
 
 def __getattr__(name: str) -> Any:

@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 from .commands.options import CONTEXT, LazyGroup
-from .errors import TsoError, is_interrupt
+from .errors import TsoError, is_interrupt, missing_extra
 from .version import __version__
 
 RESEARCH = "Studies and benchmarks of the method."
@@ -43,7 +43,9 @@ SECTIONS = {
         "curves": ("tso_cli.commands.curves", "Draw the losses of trainings."),
         "export": ("tso_cli.commands.export", "Write a smaller copy of a network."),
     },
-    "Speed": {
+    "Set-up": {
+        "doctor": ("tso_cli.commands.doctor", "Say what is installed, and how to get the rest."),
+        "demo": ("tso_cli.commands.demo", "Refine the shipped chair, and judge the result."),
         "compile": (
             "tso_cli.commands.compile_loops",
             "Compile the loops for large clouds once, ahead of time.",
@@ -183,10 +185,10 @@ def main(arguments: list[str] | None = None) -> None:
     except (ImportError, SystemError) as error:
         if is_interrupt(error):
             code = _fail("interrupted", 130)
-        elif not isinstance(error, ImportError) or error.name != "torch":
+        elif (message := missing_extra(error)) is None:
             raise
         else:
-            code = _fail("networks need torch, which is not installed: pip install torch", 1)
+            code = _fail(message, 1)
     except (click.Abort, KeyboardInterrupt):
         code = _fail("interrupted", 130)
     except MemoryError:

@@ -42,3 +42,39 @@ def is_interrupt(error: BaseException) -> bool:
     while error.__cause__ is not None:
         error = error.__cause__
     return isinstance(error, KeyboardInterrupt)
+
+
+# Package -> what needs it, and the extra that installs it.
+EXTRAS = {
+    "torch": ("networks need", "network"),
+    "safetensors": ("networks need", "network"),
+    "matplotlib": ("charts need", "plots"),
+    "open3d": ("rendering needs", "render"),
+    "pycocotools": ("compressed run lengths of COCO need", "coco"),
+    "dask": ("a cluster needs", "dask"),
+    "distributed": ("a cluster needs", "dask"),
+    "fsspec": ("files that an address names need", "remote"),
+}
+
+
+def missing_extra(error: BaseException, needing: str | None = None) -> str | None:
+    """What to install if ``error`` says that a package of an extra is missing; otherwise None.
+
+    ``needing`` : the words before the package, such as "networks need".
+    """
+    package = (getattr(error, "name", None) or "").partition(".")[0]
+    if not isinstance(error, ImportError) or package not in EXTRAS:
+        return None
+    words, extra = EXTRAS[package]
+    return f"{needing or words} {package}, which is not installed: pip install 'tso-cli[{extra}]'"
+
+
+@contextmanager
+def needed_by(needing: str) -> Iterator[None]:
+    """Raise InputError, which begins with ``needing``, if a package of an extra is missing."""
+    try:
+        yield
+    except ImportError as error:
+        if is_interrupt(error) or (message := missing_extra(error, needing)) is None:
+            raise
+        raise InputError(message) from None

@@ -513,3 +513,11 @@ def test_what_cannot_work_gets_one_line_and_exit_code_two_and_writes_nothing(
     for word in words.split():
         assert re.search(word.replace(".", r"\."), message), f"{word!r} not in {message!r}"
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_the_page_of_a_refinement_names_the_file_of_its_options(tso, folder):
+    Path("options.json").write_text('{"steps": 6}')
+    shown = tso("refine", "initial.ply", "mask.png", "--config", "options.json",
+                "--report", "page.html")  # fmt: skip
+    assert shown.code == 0
+    assert "--config options.json" in Path("page.html").read_text()

@@ -60,6 +60,18 @@ def test_refining_a_mesh_imports_nothing_heavy(tmp_path):
     assert not modules & set(HEAVY)
 
 
+def test_reading_and_writing_from_python_imports_nothing_heavy(tmp_path):
+    code = "import sys, tso_cli; before = {*sys.modules}; tso_cli.read_mask, tso_cli.draw_overlay\n"
+    code += "print('numpy' in before, *sys.modules, sep='\\n')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    numpy_before, *modules = done.stdout.splitlines()
+    assert numpy_before == "False"
+    assert "tso_cli.files" in modules
+    assert not set(modules) & set(HEAVY)
+
+
 def test_version_and_help_import_no_numbers(tmp_path):
     modules = _imported(tmp_path, "--version", "--help")
     assert "tso_cli.cli" in modules
@@ -71,7 +83,9 @@ def test_the_help_of_a_command_imports_no_torch(tmp_path):
     assert not _imported(tmp_path, *(f"{command} --help" for command in commands)) & set(HEAVY)
 
 
-NO_TORCH = "tso: error: networks need torch, which is not installed: pip install torch\n"
+NO_TORCH = (
+    "tso: error: networks need torch, which is not installed: pip install 'tso-cli[network]'\n"
+)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+import tso_cli
 from tests.readme import DOCS
-from tso_cli import Camera, RefineConfig, View, refine, refine_batch, refine_each
+from tso_cli import Camera, FittedCamera, MaskLoss, RefineConfig, View, refine
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.refinement.decisions import Decision
 
@@ -35,13 +36,25 @@ def fields_within(value: Any) -> Iterator[str]:
             yield from fields_within(inner)
 
 
-@pytest.mark.parametrize("what", [refine, refine_batch, refine_each])
+FUNCTIONS = [
+    *(getattr(tso_cli, name) for name in tso_cli.__all__ if name[0].islower()),
+    MaskLoss,
+]
+
+
+def test_every_public_name_is_on_the_page(named):
+    assert set(tso_cli.__all__) - {"Mode", "Preset"} <= named
+
+
+@pytest.mark.parametrize("what", FUNCTIONS, ids=lambda what: what.__name__)
 def test_the_arguments_of_a_function_are_named(what, named):
     assert set(inspect.signature(what).parameters) <= named
 
 
 @pytest.mark.parametrize(
-    "what", [RefineConfig, View, Camera, Finding, Decision], ids=lambda what: what.__name__
+    "what",
+    [RefineConfig, View, Camera, FittedCamera, Finding, Decision],
+    ids=lambda what: what.__name__,
 )
 def test_the_fields_of_a_class_are_named(what, named):
     assert {field.name for field in dataclasses.fields(what)} <= named

@@ -198,7 +198,7 @@ def test_compressed_run_lengths_are_read_with_pycocotools(monkeypatch):
     assert np.count_nonzero(mask) == 9679
     np.testing.assert_array_equal(read_mask(FILES / "sam_auto.json", MaskChoice(index=0)), mask)
     monkeypatch.setitem(__import__("sys").modules, "pycocotools", None)
-    assert_refused("pip install pycocotools", read_mask, FILES / "rle.json")
+    assert_refused(r"pip install 'tso-cli\[coco\]'", read_mask, FILES / "rle.json")
 
 
 def test_the_orientation_of_a_photo_is_known_and_its_raster_can_be_read_as_stored(tmp_path):

@@ -10,11 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import InputError, prefixed
-from ..io.cameras import CameraRecord, camera_text, read_partial_cameras, same_shape, words_of
-from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
-from ..io.clouds import MOVABLE, NEW, check_rounding, read_cloud, warn_of_losses, write_cloud
 from ..io.output import check_output, write_file
-from ..io.reading import is_there, plain
 from . import options
 from .options import PATH
 
@@ -82,6 +78,8 @@ def command(
     says how the cloud or mesh is written: .ply, .npy, .xyz, or a mesh as .glb, .obj, .off or .stl.
     """
     if to is not None or target.suffix.lower() == ".json":
+        from ..io.cameras import read_partial_cameras
+
         read = read_partial_cameras(source, camera_format, object_id)
         if intrinsics is not None:
             from ..io.views import with_intrinsics
@@ -102,6 +100,8 @@ def command(
 
 
 def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
+    from ..io.clouds import MOVABLE, NEW, check_rounding, read_cloud, warn_of_losses, write_cloud
+
     suffix = target.suffix.lower()
     own = suffix in MOVABLE and suffix == source.suffix.lower()
     if suffix not in (*NEW, *MESHES) and not own:
@@ -137,6 +137,9 @@ def _convert_cameras(
     size: tuple[int, int] | None,
     overwrite: bool,
 ) -> None:
+    from ..io.cameras import CameraRecord, camera_text, words_of
+    from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
+
     views, found = read
     cameras = [_complete(view, source, size) for view in views]
     folder = target if to == "colmap" else target.parent
@@ -173,6 +176,8 @@ def _convert_cameras(
 
 def _picture(view: PartialCamera, number: int, folder: Path) -> str:
     """The path of a view's picture, relative to ``folder``; else a name that a file may have."""
+    from ..io.reading import is_there
+
     file = view.image or view.mask
     if view.names and (file is None or not is_there(file)):
         name = view.names[0].replace("\\", "/")
@@ -183,6 +188,9 @@ def _picture(view: PartialCamera, number: int, folder: Path) -> str:
 
 
 def _complete(view: PartialCamera, source: Path, size: tuple[int, int] | None) -> Camera:
+    from ..io.cameras import same_shape
+    from ..io.reading import plain
+
     where = f"{source}: {plain(view.title)}" if view.title else str(source)
     if size and view.size and not same_shape(view.size, size):
         raise InputError(

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..errors import GateError, InputError
-from ..evaluation.compare import FIELDS, METRICS, PROTOCOLS, EvalConfig, evaluate
-from ..evaluation.pairs import find_pairs
-from ..io.masks import MaskChoice
+from ..evaluation.names import FIELDS, METRICS, PROTOCOLS
 from ..plots.table import text_table
 from . import options
 from .options import PATH, choice, flag, option
+
+if TYPE_CHECKING:
+    from ..evaluation.compare import EvalConfig
 
 HEADINGS = {
     "chamfer": "Metrics",
@@ -88,6 +89,10 @@ def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
     --protocol capnet is the paper's: it thins each cloud to 1,024 points, centres it on its own
     bounding box and scales it to longest side 1. This hides errors of scale and position.
     """
+    from ..evaluation.compare import EvalConfig, evaluate
+    from ..evaluation.pairs import find_pairs
+    from ..io.masks import MaskChoice
+
     metrics = tuple(name for name in METRICS if chosen[name]) or ("chamfer",)
     choice = MaskChoice(chosen["label"], chosen["mask_index"])
     config = options.pick(EvalConfig, chosen | {"metrics": metrics, "choice": choice})

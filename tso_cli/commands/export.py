@@ -5,14 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import numpy as np
 
 from ..errors import InputError
-from ..io.checkpoints import load_network, save_network
-from ..io.images import read_image
 from ..io.shipped import CATEGORIES, examples_folder
-from ..io.views import ViewFiles, load_views
-from ..network.input import network_input
 from ..version import __version__
 from . import options
 from .options import PATH, output
@@ -32,6 +27,8 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
     """
     options.require_output(output, ".safetensors", overwrite)
     import torch
+
+    from ..io.checkpoints import load_network, save_network
 
     network, config = load_network(checkpoint)
     if output.exists() and output.samefile(checkpoint):
@@ -56,7 +53,13 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
 
 def _largest_change(folder: Path, *checkpoints: Path) -> float:
     """The largest distance between corresponding points that the two checkpoints predict."""
+    import numpy as np
     import torch
+
+    from ..io.checkpoints import load_network
+    from ..io.images import read_image
+    from ..io.views import ViewFiles, load_views
+    from ..network.input import network_input
 
     (view,), _ = load_views(ViewFiles([folder / "mask.png"]))
     clouds = []

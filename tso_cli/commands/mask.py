@@ -6,12 +6,8 @@ import warnings
 from pathlib import Path
 
 import click
-import numpy as np
 
 from ..errors import InputError
-from ..geometry.view import object_box
-from ..io.images import orientation, write_image
-from ..io.masks import MaskChoice, read_mask
 from ..version import __version__
 from . import options
 from .options import PATH
@@ -39,6 +35,12 @@ def command(
     FILE is a picture, an image of labels, an array (.npy, .npz, .pt) or a segmentation of COCO
     (.json). With -o the mask is written as a grey picture.
     """
+    import numpy as np
+
+    from ..geometry.view import object_box
+    from ..io.images import orientation, write_image
+    from ..io.masks import MaskChoice, read_mask
+
     if output is not None:
         options.require_output(output, ".png", overwrite)
         if output.resolve() == file.resolve():

@@ -27,6 +27,8 @@ CONTEXT: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_w
 """Settings of the context of every command."""
 SHOW_ALL = "tso.show_all"
 """Key of a context's ``meta``: whether the help shows every option."""
+CONFIG = "tso.config"
+"""Key of a context's ``meta``: the file of --config."""
 FIT = Path("fit")
 """What `--camera` takes instead of a file, to estimate the camera."""
 
@@ -103,6 +105,17 @@ class LazyGroup(click.Group):
         """Import the command ``name``, which is one of the group."""
         command: click.Command = import_module(self._modules[name]).command
         return command
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[Any]:
+        """The names that begin with ``incomplete``, without an import of their commands."""
+        from click.shell_completion import CompletionItem
+
+        return [
+            CompletionItem(name, help=line)
+            for section in self.sections.values()
+            for name, (_, line) in section.items()
+            if name.startswith(incomplete)
+        ] + click.Command.shell_complete(self, ctx, incomplete)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         if not args and not ctx.resilient_parsing:
@@ -343,7 +356,8 @@ def command_line() -> str:
         name = parameter.name or ""
         if context.get_parameter_source(name) is not click.core.ParameterSource.COMMANDLINE:
             continue
-        value = context.params[name]
+        # --config is not a parameter of the command, but where parameters come from.
+        value = context.params[name] if parameter.expose_value else context.meta[CONFIG]
         values = value if isinstance(value, tuple) else (value,)
         if isinstance(parameter, click.Argument):
             words += map(str, values)

@@ -85,6 +85,7 @@ def read_config(ctx: click.Context, path: Path) -> None:
     to its folder.
     """
     command = ctx.command
+    ctx.meta[options.CONFIG] = path
     expected = "a record of --record, or a .toml or .json file of options"
     document = _document(path, read_bytes(path, expected, LARGEST_CONFIG), expected)
     if not isinstance(document, dict):

@@ -9,9 +9,7 @@ from typing import Any
 
 import click
 
-from ..datasets.splits import read_part
 from ..errors import InputError
-from ..render import RenderSettings, render_folder
 from ..version import __version__
 from . import options
 from .options import PATH, choice, flag, option, output
@@ -79,6 +77,9 @@ def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any)
     mesh, and in MESH_OR_FOLDER with its subfolders. Views are random; the same seed gives the same
     views. After an interruption, run the same command again: it skips meshes that are rendered.
     """
+    from ..datasets.splits import read_part
+    from ..render import RenderSettings, render_folder
+
     settings = options.pick(RenderSettings, chosen)
     names = None if chosen["split"] is None else read_part(chosen["split"], chosen["part"])
     summary = render_folder(

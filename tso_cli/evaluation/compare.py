@@ -18,19 +18,11 @@ from ..losses.silhouette import silhouette_of
 from ..version import __version__
 from .footprint import IOU_MEANS, window_iou
 from .metrics import F_SCORE_SHARE, chamfer, emd, f_score, iou
+from .names import FIELDS, METRICS
 from .pairs import Pair
 
-METRICS = ("chamfer", "f_score", "emd", "iou")
-PROTOCOLS = ("plain", "capnet")
 # Size of every cloud in the paper's evaluation.
 CAPNET_POINTS = 1024
-# The fields of each metric in a record, in the order of the table.
-FIELDS = {
-    "chamfer": ("forward", "backward", "chamfer"),
-    "f_score": ("precision", "recall", "f_score"),
-    "emd": ("emd",),
-    "iou": ("iou",),
-}
 
 Progress = Callable[[int, int], None]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, needed_by
 from .output import reason
 from .reading import array_header, read_array, require_memory, shown
 
@@ -75,7 +75,8 @@ def _arrays(data: bytes, path: Path, limit: int | None, check: Check | None) -> 
 
 
 def _tensors(data: bytes, path: Path) -> dict[str, Any]:
-    import torch
+    with needed_by(f"{path}: tensors need"):
+        import torch
 
     try:
         loaded = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import InputError, needed_by
 from ..geometry.arrays import Bits, Floats
 from ..geometry.view import is_grey_inside
 from .archives import Check, arrays_of
@@ -578,13 +578,8 @@ def _of_run_lengths(segmentation: Any, path: Path) -> Floats:
 
 
 def _compressed(counts: str, height: int, width: int, path: Path) -> Floats:
-    try:
+    with needed_by(f"{path}: compressed run lengths need"):
         from pycocotools import mask as coco
-    except ImportError:
-        raise InputError(
-            f"{path}: its run lengths are compressed, which needs pycocotools: pip install "
-            "pycocotools"
-        ) from None
     total = _total_of_runs(counts)
     if total != height * width:
         raise InputError(

@@ -6,11 +6,14 @@ The numbers of "best" were chosen on training and validation shapes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from ..cloud.control_points import CONTROL_POINTS
 
-MODES = ("points", "encoder", "encoder-decoder", "latent")
-PRESETS = ("best", "paper")
+Mode = Literal["points", "encoder", "encoder-decoder", "latent"]
+Preset = Literal["best", "paper"]
+MODES: tuple[Mode, ...] = get_args(Mode)
+PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 # The paper's variance of the Gaussian, in squared cells of a window of 64.
 SIGMA_SQ = 0.4

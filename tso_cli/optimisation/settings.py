@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .presets import CoarseToFineConfig
+from .presets import CoarseToFineConfig, Mode, Preset
 
 
 @dataclass(frozen=True)
@@ -15,8 +15,8 @@ class Settings:
     given : names of the values that the caller chose.
     """
 
-    mode: str
-    preset: str
+    mode: Mode
+    preset: Preset
     steps: int
     learning_rate: float
     gamma: float

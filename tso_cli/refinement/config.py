@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from ..cloud.control_points import CONTROL_POINTS
 from ..errors import InputError
@@ -19,6 +19,8 @@ from ..optimisation.presets import (
     SHORT_SECONDS,
     SIGMA_SQ,
     CoarseToFineConfig,
+    Mode,
+    Preset,
     default_steps,
 )
 from ..optimisation.settings import Settings
@@ -65,17 +67,17 @@ class RefineConfig:
         A value is out of range.
     """
 
-    mode: str = "points"
+    mode: Mode = "points"
     steps: int | None = None
     learning_rate: float | None = None
     gamma: float | None = None
     sigma_sq: float | None = None
     device: str = "cpu"
-    preset: str = "best"
+    preset: Preset = "best"
     symmetry: str | None = None
     refine_camera: bool = False
     accept_doubtful: bool = False
-    budget: str | float = "auto"
+    budget: Literal["auto"] | float = "auto"
     points: int | None = None
     coarse_to_fine: CoarseToFineConfig = BEST
 

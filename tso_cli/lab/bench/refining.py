@@ -29,6 +29,7 @@ from ...io.cameras import CameraRecord, write_cameras
 from ...io.images import write_image
 from ...io.meshes import read_mesh
 from ...io.shipped import examples_folder
+from ...optimisation.presets import Preset
 from ...refinement import PRESETS, RefineConfig, refine, refine_batch
 from ...scene.load import load_points_scene
 from ...signals import waiting_signals
@@ -59,7 +60,7 @@ MORE_VIEWS = (2, 4)
 LARGE, CORES = 262_144, os.cpu_count() or 1
 """Points of the largest cloud, which the default alone refines."""
 # (preset, points, views) -> numbers of clouds in a batch.
-BATCHES = {
+BATCHES: dict[tuple[Preset, int, int], tuple[int, ...]] = {
     ("best", 1024, 1): (16, 64, 512),
     ("paper", 1024, 1): (16, 64),
 }
@@ -211,7 +212,7 @@ def measure_object(
 
 def measure_batch(
     setting: Setting,
-    batches: Mapping[tuple[str, int, int], Sequence[int]] = BATCHES,
+    batches: Mapping[tuple[Preset, int, int], Sequence[int]] = BATCHES,
     steps: int | None = None,
 ) -> Cases:
     """Seconds an object of `refine_batch` in one process and on all cores."""

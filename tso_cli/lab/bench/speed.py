@@ -59,6 +59,7 @@ LARGE = {
     "mesh": ("a mesh of {:,} faces", 4.0),
 }
 """Name of a large file -> what it is, and its target in seconds."""
+NETWORK = ("torch", "safetensors")  # what the extra of this name installs
 MOST_MIB = 1536
 """Target for the memory of large files."""
 # Targets for one object: points -> time over that of `import torch`.
@@ -90,7 +91,10 @@ def plan(progress: Progress, *, parts: tuple[str, ...], seed: int) -> Plan:
     compile_loops()
     setting = Setting(seed=seed, report=progress.report)
     packages = {name: _version(name) for name in ("torch", "numpy", "numba", "scipy")}
-    sizes = {"in all": installed("tso-cli"), "without torch": installed("tso-cli", "torch")}
+    sizes = {
+        "without extras": installed("tso-cli"),
+        "with the extra network": installed("tso-cli", *NETWORK),
+    }
     settings = {
         "parts": list(parts),
         "machine": machine(),
@@ -114,12 +118,9 @@ def machine() -> dict[str, Any]:
     return {"cpu": _processor(), "cores": os.cpu_count(), "platform": platform.platform(terse=True)}
 
 
-def installed(package: str, leave_out: str = "") -> int:
-    """Megabytes of a package and all that it requires, without extras.
-
-    Without what only ``leave_out`` requires.
-    """
-    names, size, waiting = {leave_out}, 0, [package]
+def installed(*packages: str) -> int:
+    """Megabytes of packages and all that they require, without extras."""
+    names, size, waiting = set[str](), 0, list(packages)
     while waiting:
         if (name := waiting.pop().lower().replace("_", "-")) in names:
             continue

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 from ...geometry.points import Array
 from ...geometry.view import View
 from ...network.model import BaseNetwork
-from ...optimisation.presets import BEST
+from ...optimisation.presets import BEST, Mode, Preset
 from ...refinement import RefineConfig
 from ..stability.peers import PEERS
 from ..studies.cases import Case
@@ -57,8 +58,13 @@ class Way:
         return self.run(case.initial, case.views[:1])
 
 
-def _by_steps(line: str) -> Iterator[tuple[str, Way]]:
+def _choices(line: str) -> tuple[Mode, Preset]:
     mode, preset = line.split(", ")
+    return cast(Mode, mode), cast(Preset, preset)
+
+
+def _by_steps(line: str) -> Iterator[tuple[str, Way]]:
+    mode, preset = _choices(line)
     for steps in STEPS[line]:
         kinds = (PREDICTION,) if mode != "points" else (CLOUD,) if steps else (CLOUD, PREDICTION)
         name = f"{line}, {steps} steps" if steps else line
@@ -79,7 +85,10 @@ WAYS: dict[str, Way] = {
     **{f"{DEFAULT}, {count} masks": _default("masks", BOTH, masks=count) for count in (2, 4)},
     **{f"{DEFAULT}, {n:,} points": _default("points", points=n) for n in (256, 4096, 16384)},
     **{f"{DEFAULT}, {size} px": _default("pixels", size=size) for size in (32, 128, 256)},
-    **{f"{DEFAULT}, budget {b}": Way(Variant(RefineConfig(budget=b)), "budget") for b in BUDGETS},
+    **{
+        f"{DEFAULT}, budget {b}": Way(Variant(RefineConfig(budget=float(b))), "budget")
+        for b in BUDGETS
+    },
     # What auto decides, one decision changed at a time.
     f"{DEFAULT}, 512 move": Way(Variant(RefineConfig(points=512)), "moving", (CLOUD,)),
     f"{DEFAULT}, 4,096 points, all move": Way(

@@ -282,9 +282,15 @@ def _network(cases: Cases) -> list[Record]:
     """
     ratio = {name: float(ratios_of(cases, name).mean()) for name in cases[0]["variants"]}
     papers = [mode for mode in NETWORK_MODES if mode != "latent"]
-    theirs = {"points": ratio[PAPER], **{mode: ratio[f"{mode}, {PAPER}"] for mode in papers}}
+    theirs: dict[str, float] = {
+        "points": ratio[PAPER],
+        **{mode: ratio[f"{mode}, {PAPER}"] for mode in papers},
+    }
     theirs["latent"] = min(theirs.values())
-    ours = {"points": ratio[DEFAULT], **{m: ratio[f"{m}, {DEFAULT}"] for m in NETWORK_MODES}}
+    ours: dict[str, float] = {
+        "points": ratio[DEFAULT],
+        **{m: ratio[f"{m}, {DEFAULT}"] for m in NETWORK_MODES},
+    }
     holds = all(
         1.0 - ours[mode] >= NETWORK_TIMES * (1.0 - theirs[mode]) and ours[mode] < 1.0
         for mode in ours

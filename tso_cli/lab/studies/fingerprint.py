@@ -18,6 +18,7 @@ from ...geometry.view import View
 from ...io.clouds import read_cloud
 from ...io.shipped import default_checkpoint, examples_folder
 from ...losses.silhouette import silhouette_of
+from ...optimisation.presets import Mode, Preset
 from ...pose.fit import fit_camera
 from ...refinement import PRESETS, RefineConfig, RefineResult, refine
 from ...render import RenderSettings
@@ -42,7 +43,7 @@ def _figures(label: str, result: RefineResult, points: np.ndarray) -> Numbers:
     return {f"{label}: Chamfer": 1e3 * distance, f"{label}: IoU": result.fit.iou_after}
 
 
-def _points(preset: str) -> Numbers:
+def _points(preset: Preset) -> Numbers:
     """The chair with one mask, with four, truncated, and with the depth map of a plane."""
     scene = load_points_scene(CHAIR / "initial.ply", CHAIR / "mask.png")
     truth = read_cloud(CHAIR / "target.ply").points
@@ -58,11 +59,12 @@ def _points(preset: str) -> Numbers:
     return numbers
 
 
-def _network_modes(preset: str) -> Numbers:
+def _network_modes(preset: Preset) -> Numbers:
     """The shipped network's prediction of the chair after 12 steps of each mode."""
     files = CHAIR / "image.png", CHAIR / "mask.png", default_checkpoint()
     scene, numbers = load_network_scene(*files, world=True), Numbers()
-    for mode in ("encoder", "encoder-decoder", "latent"):
+    modes: tuple[Mode, ...] = ("encoder", "encoder-decoder", "latent")
+    for mode in modes:
         config = RefineConfig(mode, preset=preset, steps=12)
         result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
         uninterrupted(result)

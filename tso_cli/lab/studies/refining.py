@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
+from typing import Any, Final
 
 from ...errors import TsoError
 from ...network.model import BaseNetwork
-from ...optimisation.presets import BEST, CONTROL_POINTS, Stage
+from ...optimisation.presets import BEST, CONTROL_POINTS, Mode, Preset, Stage
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
 from ..interrupts import uninterrupted
 from .cases import Case
@@ -35,7 +35,8 @@ def _stages_with(**changes: Any) -> Variant:
     return _best_with(stages=tuple(replace(stage, **changes) for stage in BEST.stages))
 
 
-PAPER, DEFAULT = "paper", "best"
+PAPER: Final = "paper"
+DEFAULT: Final = "best"
 NO_SYMMETRY, TWO_MASKS, FOUR_MASKS = "best, no symmetry", "best, two masks", "best, four masks"
 MASKS = (DEFAULT, TWO_MASKS, FOUR_MASKS)
 """The default preset with one, two and four masks."""
@@ -46,10 +47,11 @@ POINTS = {
     TWO_MASKS: Variant(masks=2),
     FOUR_MASKS: Variant(masks=4),
 }
-NETWORK_MODES = ("encoder", "encoder-decoder", "latent")
+NETWORK_MODES: tuple[Mode, ...] = ("encoder", "encoder-decoder", "latent")
+BOTH: tuple[Preset, ...] = (PAPER, DEFAULT)
 ALONE = {
     f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset))
-    for mode, preset in product(NETWORK_MODES, (PAPER, DEFAULT))
+    for mode, preset in product(NETWORK_MODES, BOTH)
 }
 COMBINED = {
     f"{mode}, then points": Variant(RefineConfig(mode), then=RefineConfig())

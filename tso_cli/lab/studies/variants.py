@@ -18,6 +18,7 @@ from ...geometry.points import Array, normalise_longest_side
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
+from ...optimisation.presets import Mode
 from ...refinement import RefineConfig, refine
 from ...render import RayScene, RenderSettings
 from ...scene.network import network_scene
@@ -29,7 +30,7 @@ from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .shapes import RenderedShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
 from .summary import grouped, interval, mean, ratio_figures
 
-VARIANTS = ("encoder", "encoder-decoder", "points")
+VARIANTS: tuple[Mode, ...] = ("encoder", "encoder-decoder", "points")
 LETTERS = {"before": "before", "encoder": "E", "encoder-decoder": "E and D", "points": "p"}
 """The paper's names: which parameters move."""
 # Forward, backward and their sum, x1000: the paper's table of test-stage optimisation.

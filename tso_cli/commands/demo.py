@@ -1,0 +1,51 @@
+"""`tso demo`: refine the shipped chair, judge it before and after, and draw it."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+
+from ..io.shipped import examples_folder
+from . import options
+
+
+@click.command("demo")
+@options.output(
+    "Folder to write to; files of an earlier demo are replaced.", default="demo", show_default=True
+)
+def command(output: Path) -> None:
+    """Refine the shipped chair, and compare it with its true shape, before and after.
+
+    Writes chair.ply, chair.png (the picture of --overlay) and chair.html (the page of --report).
+    """
+    chair = examples_folder() / "chair"
+    initial, target = chair / "initial.ply", chair / "target.ply"
+    output.mkdir(parents=True, exist_ok=True)
+    cloud, picture, page = (output / f"chair.{suffix}" for suffix in ("ply", "png", "html"))
+    _run(
+        "refine", initial, chair / "mask.png",
+        "-o", cloud, "--overlay", picture, "--report", page, "--overwrite",
+    )  # fmt: skip
+    for name, result in (("before", initial), ("after", cloud)):
+        click.echo(f"{name}:")
+        _run("eval", "--chamfer", result, target)
+    click.echo(f"picture: {picture}")
+    click.echo(f"page: {page}")
+
+
+def _run(name: str, *words: str | Path) -> None:
+    """Print a command of tso as a line for a shell, and run it."""
+    root = click.get_current_context().find_root()
+    group, arguments = root.command, [str(word) for word in words]
+    assert isinstance(group, click.Group)
+    found = group.get_command(root, name)
+    assert found is not None
+    click.echo(f"$ {shlex.join(['tso', name, *arguments])}")
+    try:
+        with found.make_context(name, arguments, parent=root) as context:
+            found.invoke(context)
+    except click.exceptions.Exit as end:
+        if end.exit_code:
+            raise
