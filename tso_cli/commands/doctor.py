@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import click
@@ -149,14 +148,12 @@ def _loops() -> dict[str, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            from ..kernels.dispatch import on_disk
+            from ..kernels.dispatch import kept, switched_off
 
-            found["compiled"] = on_disk()
-            from ..kernels import jit
-
-            cache = getattr(jit._loops[0], "stats", None)
-            folder = getattr(cache, "cache_path", None)
-            found["folder"] = folder and str(Path(folder))
+            if switched_off():
+                return found | {"error": "numba is switched off (NUMBA_DISABLE_JIT)"}
+            folder, on_disk, of_all = kept()
+        found |= {"compiled": on_disk == of_all, "folder": folder and str(folder)}
     except Exception as error:
         found["error"] = reason(error)
     return found
