@@ -262,12 +262,12 @@ def test_another_photo_in_place_of_a_mask_is_refused_with_advice(folder, refine)
 
 def test_a_grey_map_that_looks_like_a_photo_is_warned_of(folder, refine):
     with Image.open("image.png") as image:
-        image.convert("L").save("grey.png")
+        np.save("grey.npy", np.asarray(image.convert("L")))
     for options in ((), ("--check",)):
-        run = refine("initial.ply", "grey.png", "--camera", "camera.json", "--json", *options,
+        run = refine("initial.ply", "grey.npy", "--camera", "camera.json", "--json", *options,
                      "-o", "photo.ply")  # fmt: skip
         (warning,) = [text for text in run.document["warnings"] if "photo" in text]
-        assert warning.startswith("grey.png: looks like a photo, grey in many places; expected")
+        assert warning.startswith("grey.npy: looks like a photo, grey in many places; expected")
 
 
 def test_an_unknown_assumption_names_the_likeliest_and_where_all_are_listed(folder, refine):

@@ -159,6 +159,6 @@ def test_what_a_refinement_cannot_use_is_refused():
             None,
             "colours span 0 to 300, expected 0 to 1",
         ),
-        (view, "red", None, "colours are not an array of numbers"),
+        (view, "red", None, "what is given as colours is not an array of real numbers"),
     ):
         assert_refused(words, refine, points, scene, config=config, colours=colour)

@@ -160,7 +160,9 @@ def as_numpy(values: Any) -> Any:
 
 
 def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:
-    as_floats: NDArray[np.float32] = as_numbers(colours, f"{name}: the colours", np.float32)
+    as_floats: NDArray[np.float32] = as_numbers(
+        colours, f"{name}: what is given as colours", np.float32
+    )
     if as_floats.shape != (count, 3):
         raise InputError(
             f"{name}: the colours have shape {list(as_floats.shape)}, expected [{count}, 3]"

@@ -160,8 +160,8 @@ class Command(click.Command):
         brief = bool(self.brief) and not ctx.meta.get(SHOW_ALL)
         heading, sections = "Options", dict[str, list[tuple[str, str]]]()
         for parameter in self.get_params(ctx):
-            # Not passed to the command: --help and --help-all.
-            if brief and parameter.expose_value and parameter.name not in self.brief:
+            help_itself = not {"--help", "--help-all"}.isdisjoint(parameter.opts)
+            if brief and parameter.name not in self.brief and not help_itself:
                 continue
             heading = heading if brief else self.headings.get(parameter.name or "", heading)
             if isinstance(parameter, click.Option) and (record := parameter.get_help_record(ctx)):
