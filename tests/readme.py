@@ -374,10 +374,13 @@ def scale() -> str:
     study = record("scale")
     pace = {row["way"]: row["items_per_second"] for row in study["cases"] if "way" in row}
     cores = study["settings"]["machine"]["cores"]
-    each = cores / pace["tso batch"]
+    each, parent = cores / pace["tso batch"], pace["items that take no time"]
     rows = []
     for items in (1_000, 100_000, 10_000_000):
-        row = [f"{items:,}", *(_duration(items * each / many) for many in (cores, 64, 1024))]
+        row = [
+            f"{items:,}",
+            *(_duration(items * max(each / n, 1.0 / parent)) for n in (cores, 64, 1024)),
+        ]
         rows.append([*row, _bytes(items * 21_000), _bytes(items * 700)])
     header = ["items", f"{cores} cores", "64 cores", "1,024 cores", "results, records", "journal"]
     text = (
@@ -386,19 +389,18 @@ def scale() -> str:
         f"{pace['tso batch'] / pace['refine_batch']:.2f} times `refine_batch` "
         "([record](records/scale.md)). At this pace:"
     )
-    parent = pace["items that take no time"]
     feeds = round(parent * each, -1)
     limit = (
         "The parent process reads the manifest and keeps the journal. It is one process, so it is "
-        f"what ends the growth:\nit hands out at most {parent:,.0f} items a second, as many as "
-        f"{feeds:,.0f} cores do."
+        "what\nends the growth: it hands out at most "
+        f"{round(parent, -2):,.0f} items a second, as many as {feeds:,.0f} cores do."
     )
     return f"{text}\n\n{markdown(header, rows)}\n\n{limit}"
 
 
 def _duration(seconds: float) -> str:
     if seconds < 120:
-        return f"{seconds:.0f} s"
+        return f"{max(1.0, seconds):.0f} s"
     if seconds < 7200:
         return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.0f} h" if seconds < 172_800 else f"{seconds / 86400:.0f} days"
