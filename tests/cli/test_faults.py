@@ -636,7 +636,7 @@ LOG = '{"supervision": "masks\\ud800"}\n{"step": 1, "loss": 2}\n{"step": 2, "los
         "eval {}.ply initial.ply",
         "curves {}.jsonl",
         "mask {}.png",
-        "render {} -o rendered --views 1",
+        "render {} -o {}.rendered --views 1",
     ],
 )
 def test_a_name_that_is_not_utf_8_does_not_end_the_work(folder, line):
