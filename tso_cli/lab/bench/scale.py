@@ -385,7 +385,7 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
 STUDY = Study(
     name="scale",
     about="Takes half an hour for 20,000 items on two cores. Linux only: it reads /proc.",
-    parts=(),
+    parts=("points, best",),
     tables=tables,
     draw=draw,
     reading="A batch is done in processes that stay; a shell loop starts tso for each item. The "

@@ -82,8 +82,11 @@ def read_record(path: Path) -> Record:
 
 
 def write_record(record: Record, output: Path) -> None:
-    """Write the record, over the earlier one, with a line for each case."""
-    record = dict(record)
+    """Write the record, over the earlier one, with a line for each case.
+
+    What is no number becomes null, as JSON has no other word for it.
+    """
+    record = options.plain(record)
     cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record.pop("cases"))
     with atomic_output(output) as temporary:
         temporary.write_text(f'{json.dumps(record, indent=1)[:-2]},\n "cases": [\n{cases}\n]}}\n')

@@ -122,7 +122,9 @@ def conclude(cases: Cases) -> Record:
     summary: Record = {}
     for case in cases:
         category, key = (CAR, "cars") if case["setting"] in (ONE, FOUR) else (PLANE, "aeroplanes")
-        summary[case["setting"]] = {**case[key], "chamfer": values[case["setting"]][category]}
+        # What could not be measured is null in a record.
+        sizes = {name: float("nan") if size is None else size for name, size in case[key].items()}
+        summary[case["setting"]] = {**sizes, "chamfer": values[case["setting"]][category]}
     claims = []
     pairs = {"trained with other categories": (SHARED, OWN), "trained alone": (ALONE_WIDE, ALONE)}
     for where, (wide, narrow) in pairs.items():
