@@ -65,6 +65,11 @@ def test_a_wrong_manifest_is_refused_with_its_row(manifest, text, message):
     assert_refused(message, read_manifest, manifest(text))
 
 
+def test_a_picture_in_place_of_a_manifest_is_refused(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n")
+    assert_refused(r"a\.png: is not text, expected a manifest", read_manifest, tmp_path / "a.png")
+
+
 def test_files_of_a_folder_belong_together_by_their_names(tmp_path):
     names = ("a.ply", "a.png", "a.camera.json", "in/b.glb", "in/b.mask.png", "c.npy", "c/1.png",
              "a.refined.ply", ".hidden.ply", "notes.txt")  # fmt: skip

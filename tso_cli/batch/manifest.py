@@ -24,6 +24,7 @@ One = TypeVar("One")
 STDIN = Path("-")
 # Columns that are not options of `tso refine` by that name.
 CLOUD, MASK, OUTPUT = "cloud", "mask", "output"
+EXPECTED = "a manifest of items (CSV or JSON Lines) or a folder"
 SEPARATOR = ";"  # of several files in one cell
 # A folder may hold its kinds of files apart.
 PARTS = ("clouds", "masks", "cameras")
@@ -51,11 +52,11 @@ def read_manifest(path: Path) -> list[Item]:
     if path == STDIN:
         data, path = sys.stdin.buffer.read(), Path("stdin")
     else:
-        data = read_bytes(path, "a manifest of items (CSV or JSON Lines) or a folder")
+        data = read_bytes(path, EXPECTED)
     try:
         text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: is not text ({reason(error)}), expected a manifest") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not text, expected {EXPECTED}") from None
     lines = text.lstrip()[:1] in ("{", "[")
     items = list(_of_lines(text, path) if lines else _of_csv(text, path))
     if not items:
