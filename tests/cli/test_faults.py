@@ -109,28 +109,39 @@ def test_of_two_writers_of_one_name_one_succeeds(tmp_path, monkeypatch, links):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_what_killed_runs_left_of_a_file_is_removed_except_what_a_living_one_writes(tmp_path):
-    def name_of(output):
-        with atomic_output(tmp_path / output) as temporary:
-            return temporary.with_name(f"{temporary.stem[:-12]}0123456789ab{temporary.suffix}")
-
-    stale, *others = map(name_of, ("out.ply", "other.ply", "out.png", "out.b.ply"))
-    living, young = (
-        stale.with_name(stale.name.replace("0123456789ab", other))
-        for other in ("ba9876543210", "abcdefabcdef")
-    )
-    for path in (stale, living, *others):
-        path.touch()
-        os.utime(path, (0.0, 0.0))
-    young.touch()
-    held = lock(living)
-    with atomic_output(tmp_path / "out.ply") as temporary:
-        assert not stale.exists()
-        assert temporary.exists()
-        assert living.exists()
-        assert young.exists()
-        assert all(path.exists() for path in others)
+def test_the_next_run_takes_what_a_killed_one_left_and_not_what_a_living_one_writes(tmp_path):
+    output = tmp_path / "out.ply"
+    with atomic_output(output) as left:
+        pass
+    left.write_text("left by a killed run")
+    with atomic_output(output) as temporary:
+        assert temporary == left
+        assert temporary.read_bytes() == b""
+        temporary.write_text("new")
+    assert list(tmp_path.iterdir()) == [output]
+    left.touch()
+    held = lock(left)
+    with atomic_output(output) as temporary:
+        assert temporary != left
     os.close(held)
+    assert left.exists()
+
+
+def test_a_link_in_place_of_a_temporary_is_not_followed(tmp_path):
+    output, other = tmp_path / "out.ply", tmp_path / "other"
+    with atomic_output(output) as left:
+        pass
+    other.write_text("somebody's")
+    left.symlink_to(other)
+    with atomic_output(output) as temporary:
+        temporary.write_text("new")
+    assert other.read_text() == "somebody's"
+    assert output.read_text() == "new"
+    left.unlink()
+    os.link(other, left)
+    with atomic_output(output) as temporary:
+        temporary.write_text("newer")
+    assert other.read_text() == "somebody's"
 
 
 WRITE = (

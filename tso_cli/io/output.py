@@ -9,11 +9,10 @@ again and again holds a lock on .NAME.SUFFIX.lock in the same folder.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
-import re
 import stat
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,8 +20,6 @@ from pathlib import Path
 from ..errors import InputError
 
 _LONGEST_REASON = 200  # characters
-# Seconds. A younger temporary may belong to a writer that is about to lock it.
-_LEAST_AGE = 5.0
 
 
 def check_output(path: Path, overwrite: bool) -> None:
@@ -61,10 +58,10 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """
     try:
         target = Path(os.path.realpath(path))
-        _remove_abandoned(target)
         temporary, held = _new_temporary(target)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written ({reason(error)})") from None
+    renamed = False
     try:
         yield temporary
         # A full disk may become apparent only when the data leave the memory.
@@ -75,15 +72,18 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
             os.close(handle)
         if overwrite:
             temporary.replace(target)
+            renamed = True
         else:
-            _take_name(temporary, target)
+            renamed = _take_name(temporary, target)
     except FileExistsError:
         raise InputError(f"{path}: exists already, expected a new name or `overwrite`") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({reason(error)}), nothing was kept") from None
     finally:
-        with suppress(OSError):
-            temporary.unlink()
+        # After the renaming another process may have a file of this name.
+        if not renamed:
+            with suppress(OSError):
+                temporary.unlink()
         if held is not None:
             os.close(held)
 
@@ -95,64 +95,83 @@ def write_file(path: Path, data: bytes, overwrite: bool = False) -> None:
         temporary.write_bytes(data)
 
 
-def _take_name(temporary: Path, target: Path) -> None:
-    """Rename a file; FileExistsError if another file has the name ``target``."""
+def _take_name(temporary: Path, target: Path) -> bool:
+    """Give a file the name ``target``; FileExistsError if another file has it.
+
+    Returns whether it has lost its old name.
+    """
     try:
         os.link(temporary, target)
+        return False
     except FileExistsError:
         raise
     except OSError:
         # This file system has no links: an empty file reserves the name for a moment.
         os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         temporary.replace(target)
+        return True
 
 
 def _stem(target: Path) -> str:
     """How the names of the temporaries of ``target`` begin; those of no other file do."""
     digest = hashlib.sha256(os.fsencode(target.name)).hexdigest()[:8]
-    return f".{target.stem[:40]}.{digest}"
+    return f".{target.stem[:40]}.{digest}."
 
 
 def _new_temporary(target: Path) -> tuple[Path, int | None]:
-    """A new file next to ``target``, and the handle that holds its lock, None without locks.
+    """An empty file next to ``target``, and the handle that holds its lock, None without locks.
 
-    The lock is taken with the handle that made the file: no other process can remove it in between.
+    Its name is the first that no living process holds. So the next run takes the file that a killed
+    run has left, without a search of the folder, which may hold a million files.
     """
+    try:
+        import fcntl
+    except ImportError:  # no locks here
+        return _exclusive_temporary(target)
+    number = 0
     while True:
-        temporary = target.with_name(f"{_stem(target)}{os.urandom(6).hex()}{target.suffix}")
-        # Creating the file here gives it the permissions of the user's umask, and makes sure that
-        # nobody else has a file of this name.
-        handle = os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666)
+        temporary = target.with_name(f"{_stem(target)}{number}{target.suffix}")
+        # Creating the file here gives it the permissions of the user's umask.
+        flags = os.O_CREAT | os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK
         try:
-            import fcntl
-
+            handle = os.open(temporary, flags, 0o666)
+        except OSError as error:
+            if error.errno not in (errno.ELOOP, errno.EISDIR, errno.ENXIO):
+                raise
+            number += 1  # a link, a folder or a pipe has the name
+            continue
+        try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            os.close(handle)  # another process is about to remove it
+            os.close(handle)
+            number += 1
             continue
-        except (ImportError, OSError):
-            os.close(handle)  # no locks here
-            return temporary, None
-        if os.fstat(handle).st_nlink:
-            return temporary, handle
-        os.close(handle)
+        except OSError:  # no locks on this file system
+            os.close(handle)
+            return _exclusive_temporary(target)
+        state = os.fstat(handle)
+        if not _has_name(temporary, state):
+            os.close(handle)  # its last owner has renamed or removed it in between
+            continue
+        if state.st_uid != os.getuid() or state.st_nlink != 1 or not stat.S_ISREG(state.st_mode):
+            os.close(handle)  # somebody else has put it there
+            number += 1
+            continue
+        os.ftruncate(handle, 0)
+        return temporary, handle
 
 
-def _remove_abandoned(target: Path) -> None:
-    """Remove the temporary files of ``target`` that killed runs have left."""
-    name = re.compile(rf"{re.escape(_stem(target))}[0-9a-f]{{12}}{re.escape(target.suffix)}")
-    with suppress(OSError), os.scandir(target.parent) as entries:
-        for entry in entries:
-            if not name.fullmatch(entry.name):
-                continue
-            with suppress(OSError):  # its writer may be done by now
-                status = entry.stat(follow_symlinks=False)
-                young = time.time() - status.st_mtime < _LEAST_AGE
-                if young or not stat.S_ISREG(status.st_mode):
-                    continue
-                if (held := lock(Path(entry))) is not None:
-                    os.unlink(entry)
-                    os.close(held)
+def _has_name(path: Path, state: os.stat_result) -> bool:
+    try:
+        return os.path.samestat(os.stat(path, follow_symlinks=False), state)
+    except FileNotFoundError:
+        return False
+
+
+def _exclusive_temporary(target: Path) -> tuple[Path, None]:
+    temporary = target.with_name(f"{_stem(target)}{os.urandom(6).hex()}{target.suffix}")
+    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    return temporary, None
 
 
 @contextmanager
