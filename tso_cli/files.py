@@ -24,7 +24,7 @@ from .io.images import read_depth as _read_depth
 from .io.images import read_image as read_image
 from .io.images import write_image
 from .io.masks import read_mask as read_mask
-from .io.output import atomic_output, check_output, write_file
+from .io.output import atomic_output, require_output, write_file
 
 if TYPE_CHECKING:
     from .refinement.result import RefineResult
@@ -61,7 +61,8 @@ def write_depth(path: str | Path, depth: ArrayLike, overwrite: bool = False) -> 
     Raises InputError if the suffix or the shape is another, or the file cannot be written.
     """
     path, values = Path(path), np.asarray(depth, dtype=np.float32)
-    _require(path, ".npy", values, "a depth map")
+    require_output(path, ".npy", overwrite)
+    _require_image(path, values, "a depth map")
     data = io.BytesIO()
     np.save(data, values)
     write_file(path, data.getvalue(), overwrite)
@@ -73,7 +74,8 @@ def write_mask(path: str | Path, mask: ArrayLike, overwrite: bool = False) -> No
     Raises InputError if the suffix, the shape or a value is another, or the file cannot be written.
     """
     path, values = Path(path), np.asarray(mask, dtype=np.float32)
-    _require(path, ".png", values, "a mask")
+    require_output(path, ".png", overwrite)
+    _require_image(path, values, "a mask")
     if not (values.min(initial=0.0) >= 0.0 and values.max(initial=0.0) <= 1.0):
         raise InputError(
             f"{path}: mask values span {values.min():g} to {values.max():g}, expected 0 to 1"
@@ -81,9 +83,7 @@ def write_mask(path: str | Path, mask: ArrayLike, overwrite: bool = False) -> No
     write_image(path, np.rint(255.0 * values).astype(np.uint8), overwrite)
 
 
-def _require(path: Path, suffix: str, values: Array | np.ndarray, what: str) -> None:
-    if path.suffix.lower() != suffix:
-        raise InputError(f"{path}: the suffix is {path.suffix!r}, expected {suffix}")
+def _require_image(path: Path, values: Array | np.ndarray, what: str) -> None:
     if values.ndim != 2:
         raise InputError(f"{path}: has shape {list(values.shape)}, expected {what} [H, W]")
 
@@ -105,8 +105,6 @@ def draw_overlay(
     from .plots.overlay import draw_overlay as draw
 
     path, several = Path(path), [views] if isinstance(views, View) else views
-    if path.suffix.lower() != ".png":
-        raise InputError(f"{path}: the suffix is {path.suffix!r}, expected .png")
-    check_output(path, overwrite)
+    require_output(path, ".png", overwrite)
     with atomic_output(path, overwrite) as temporary:
         draw(temporary, result, several, photos)

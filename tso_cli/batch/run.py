@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import InputError, TsoError
 from ..io.output import reason
-from ..workers import Ended, WorkerDied, each, is_death
+from ..signals import at_interrupt
+from ..workers import Ended, each
 from .journal import RETURNED, STARTED, Journal, Past
 
 # Results of earlier runs are checked in tasks of about so long.
@@ -112,7 +111,9 @@ def run(
     summary = Summary(len(tasks))
     suspicious = {task.item for task in tasks if past.get(task.item, Past()).suspicious}
     summary.quarantined = sorted(suspicious)
-    with _ending_at_ctrl_c() as stopping:
+    came = threading.Event()
+    stopping = came.is_set
+    with at_interrupt(came.set, once=True):
         ended_before = [task for task in tasks if task.key]
         settings: dict[str, Any] = dict(stopping=stopping, task_seconds=CHECKING_SECONDS)
         left_out = set()
@@ -160,29 +161,7 @@ def _outcome_of(ended: Ended[Task]) -> Outcome:
         outcome = ended.result
         assert isinstance(outcome, Outcome)
         return outcome
-    words = str(error) if isinstance(error, (TsoError, WorkerDied)) else reason(error)
-    if is_death(error) and not isinstance(error, WorkerDied):
-        words = "its process died"  # the engine's words are about its tasks
-    deaths = f", {ended.deaths} times" if ended.deaths > 1 else ""
+    foreign = not isinstance(error, TsoError) and not ended.deaths
+    words = reason(error) if foreign else ended.failure
     event = "refused" if isinstance(error, InputError) else "failed"
-    return Outcome(event, reason=f"{words}{deaths}", values={"deaths": ended.deaths})
-
-
-@contextmanager
-def _ending_at_ctrl_c() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C came; the second Ctrl-C does what it always does."""
-    came = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield came.is_set
-        return
-    before = signal.getsignal(signal.SIGINT)
-
-    def interrupt(number: int, frame: Any) -> None:
-        came.set()
-        signal.signal(signal.SIGINT, before)
-
-    signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield came.is_set
-    finally:
-        signal.signal(signal.SIGINT, before)
+    return Outcome(event, reason=words, values={"deaths": ended.deaths})

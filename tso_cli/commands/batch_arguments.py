@@ -15,12 +15,10 @@ from ..io.clouds import output_suffix
 from ..io.reading import plain, shown
 from .batch_item import context_of, refine_command
 from .options import FilePath
-from .refine_record import in_folder, parameter_of
+from .refine_record import OF_RUN, WRITTEN, in_folder, parameter_of
 
 # Options that a batch sets itself for each item.
-SET_BY_BATCH = ("record", "check", "quiet", "verbose", "as_json", "overwrite", "strict", "config")
-# Options whose files are written.
-WRITTEN = ("overlay", "report", "write_camera")
+SET_BY_BATCH = (*OF_RUN, "strict", "config")
 PARAMETERS = {parameter.name: parameter for parameter in refine_command.params}
 SWITCHES = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
 

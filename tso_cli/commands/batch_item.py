@@ -7,6 +7,7 @@ import re
 import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +39,8 @@ def context_of(arguments: Sequence[str]) -> click.Context:
     return refine_command.make_context("refine", list(arguments), **options.CONTEXT)
 
 
-def _key(task: Task) -> str:
+def _key(task: Task, ctx: click.Context) -> str:
     """The key of an item: its settings, the contents of its files, the state of remote files."""
-    ctx = context_of(task.arguments)
     files = options.pick(RefineInputs, ctx.params).files
     states = [state_of(word) for word in task.arguments if is_remote(word) and word != task.item]
     return key_of(
@@ -55,12 +55,12 @@ def _fetched(path: Path) -> bool:
 
 def unchanged(task: Task) -> bool:
     """Whether the inputs and settings of an item have the key of its last end."""
-    if not task.written:
-        return _key(task) == task.key
-    if is_remote(task.item):
-        return exists(task.item) and _key(task) == task.key
-    output: Path = context_of(task.arguments).params["output"]
-    return output.is_file() and _key(task) == task.key
+    ctx = context_of(task.arguments)
+    if task.written:
+        there = exists(task.item) if is_remote(task.item) else ctx.params["output"].is_file()
+        if not there:
+            return False
+    return _key(task, ctx) == task.key
 
 
 def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
@@ -75,22 +75,21 @@ def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
             outcome = _refined(task, decided(compiled), pictures)
             break
         except (TsoError, OSError, click.ClickException) as error:
-            refused = isinstance(error, (InputError, click.ClickException))
             text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-            outcome = Outcome("refused" if refused else "failed", None, 0.0, text)
+            outcome = Outcome("failed", reason=text)
             if not _may_pass(error):
+                if isinstance(error, (InputError, click.ClickException)):
+                    outcome = Outcome("refused", _key_if_read(task), reason=text)
                 break
-            outcome = Outcome("failed", None, 0.0, text)
-    if outcome.event == "refused":
-        outcome = Outcome("refused", _key_if_read(task), 0.0, outcome.reason)
-    seconds = time.perf_counter() - begun
-    return Outcome(outcome.event, outcome.key, seconds, outcome.reason, outcome.values)
+    return replace(outcome, seconds=time.perf_counter() - begun)
 
 
 def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | None) -> Outcome:
-    key = _key(task)
+    ctx = context_of(task.arguments)
+    key = _key(task, ctx)
     with local(task.arguments, task.item if is_remote(task.item) else "") as arguments:
-        return _of_files(context_of(arguments), task.item, key, loops, pictures)
+        ctx = ctx if arguments == list(task.arguments) else context_of(arguments)
+        return _of_files(ctx, task.item, key, loops, pictures)
 
 
 def _of_files(
@@ -134,7 +133,7 @@ def _of_files(
 def _key_if_read(task: Task) -> str | None:
     """The key of an item that was refused; None if its files cannot be read."""
     try:
-        return _key(task)
+        return _key(task, context_of(task.arguments))
     except (TsoError, OSError, click.ClickException):
         return None
 

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import click
 
 from ..errors import InputError, TsoError
-from ..io.output import check_output
+from ..io.output import require_output as require_output
 
 T = TypeVar("T")
 CONTEXT: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -294,13 +294,6 @@ def pick(kind: type[T], chosen: Mapping[str, Any]) -> T:
     """The dataclass ``kind``, made of the options that are its fields."""
     names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
     return kind(**{name: value for name, value in chosen.items() if name in names})
-
-
-def require_output(path: Path, suffix: str, overwrite: bool) -> None:
-    """InputError if the suffix of an output is wrong or the output cannot be written."""
-    if path.suffix.lower() != suffix:
-        raise InputError(f"{path}: the suffix is {path.suffix!r}, expected {suffix}")
-    check_output(path, overwrite)
 
 
 @contextmanager

@@ -21,10 +21,9 @@ SCHEMA = 1
 """Version of the form of records."""
 LARGEST_CONFIG = 16 << 20  # bytes
 # Options that say where results go, or what is printed: they do not change a result.
-OF_OUTPUT = (
-    "output", "overwrite", "overlay", "report", "write_camera", "record", "check", "quiet",
-    "verbose", "as_json",
-)  # fmt: skip
+WRITTEN = ("overlay", "report", "write_camera")
+OF_RUN = ("record", "overwrite", "check", "quiet", "verbose", "as_json")
+OF_OUTPUT = ("output", *WRITTEN, *OF_RUN)
 
 
 def digest_of(path: Path) -> str:
@@ -71,11 +70,7 @@ def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
             return str(value) if isinstance(value, Path) else value
         return Path(os.path.relpath(value, folder)).as_posix()
 
-    return {
-        name: stored(value)
-        for name, value in given.items()
-        if name not in ("record", "overwrite", "check", "quiet", "verbose", "as_json")
-    }
+    return {name: stored(value) for name, value in given.items() if name not in OF_RUN}
 
 
 def read_config(ctx: click.Context, path: Path) -> None:

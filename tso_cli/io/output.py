@@ -47,6 +47,13 @@ def check_output(path: Path, overwrite: bool) -> None:
         raise InputError(f"{path}: cannot be written ({reason(error)})") from None
 
 
+def require_output(path: Path, suffix: str, overwrite: bool) -> None:
+    """InputError if the suffix of an output is wrong or the output cannot be written."""
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{path}: the suffix is {path.suffix!r}, expected {suffix}")
+    check_output(path, overwrite)
+
+
 @contextmanager
 def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """Yield a temporary path in the folder of ``path``, with the same suffix.

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import signal
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +19,7 @@ from ..geometry.view import View
 from ..kernels import blas
 from ..kernels.dispatch import decided, enough_to_load, planned, use_compiled
 from ..optimisation.loop import Progress
+from ..signals import at_interrupt
 from ..workers import Ended, Here, WorkerPool, cores, each
 from .api import compile_loops, work_of
 from .clock import Clock
@@ -138,7 +138,7 @@ def _each(
     used = executor or own or Here()
     most = window or (AHEAD * max(processes, cores()) if executor or own else 1)
     try:
-        with _on_ctrl_c(own, stop):
+        with _passed_on(own, stop):
             for ended in each(used, _refined, jobs, most, stopping=stopping):
                 result = _result_of(ended)
                 if stop is not None and _interrupted(result):
@@ -150,23 +150,18 @@ def _each(
             own.shutdown(wait=False)
 
 
-@contextmanager
-def _on_ctrl_c(pool: WorkerPool | None, stop: Callable[[], None] | None) -> Iterator[None]:
+def _passed_on(
+    pool: WorkerPool | None, stop: Callable[[], None] | None
+) -> AbstractContextManager[None]:
     """Pass Ctrl-C on to the processes; without processes it reaches the scene at work anyway."""
-    main = threading.current_thread() is threading.main_thread()
-    if pool is None or stop is None or not main or signal.getsignal(signal.SIGINT) is None:
-        yield
-        return
+    if pool is None or stop is None:
+        return nullcontext()
 
-    def interrupt(number: int, frame: Any) -> None:
+    def interrupt() -> None:
         stop()
         pool.interrupt()
 
-    before = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+    return at_interrupt(interrupt)
 
 
 def _interrupted(result: RefineResult | TsoError) -> bool:
@@ -188,8 +183,7 @@ def _result_of(ended: Ended[_Job]) -> RefineResult | TsoError:
         return error
     if isinstance(error, KeyboardInterrupt):
         return _not_begun(ended.job.number)
-    deaths = f", {ended.deaths} times" if ended.deaths > 1 else ""
-    failure = TsoError(f"{where}: {str(error) or type(error).__name__}{deaths}")
+    failure = TsoError(f"{where}: {ended.failure}")
     failure.__cause__ = error
     return failure
 

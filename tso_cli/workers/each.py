@@ -10,6 +10,8 @@ from concurrent.futures import Future as _Future
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from .pool import WorkerDied
+
 Job = TypeVar("Job")
 # dask's scheduler raises it if workers die with a task; its module is only there with dask.
 _KILLED = "KilledWorker"
@@ -28,6 +30,15 @@ class Ended(Generic[Job]):
     result: Any
     error: BaseException | None
     deaths: int = 0
+
+    @property
+    def failure(self) -> str:
+        """The error in words, and how often a process died, if it was more than once."""
+        words = str(self.error) or type(self.error).__name__
+        # The words of another engine are about its tasks.
+        if is_death(self.error) and not isinstance(self.error, WorkerDied):
+            words = "its process died"
+        return f"{words}, {self.deaths} times" if self.deaths > 1 else words
 
 
 @dataclass
@@ -157,7 +168,7 @@ def _all(
     return ended, time.perf_counter() - begun
 
 
-def is_death(error: BaseException) -> bool:
+def is_death(error: BaseException | None) -> bool:
     """Whether a process died, and perhaps not because of the job that it had."""
     return isinstance(error, BrokenExecutor) or type(error).__name__ == _KILLED
 
