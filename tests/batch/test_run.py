@@ -92,6 +92,17 @@ def test_an_item_that_was_begun_twice_without_an_end_is_done_last_and_alone(batc
     assert summary.counts["done"] == 11
 
 
+def test_what_a_process_wrote_before_it_died_is_of_this_batch(tmp_path):
+    with open_journal(tmp_path / "journal.jsonl") as journal:
+        journal.add("0", "started")
+        journal.add("0", "failed", deaths=3)
+        journal.add("1", "refused", reason="exists already")
+    past = read_journal(tmp_path / "journal.jsonl")
+    known = {}
+    tasks_of(ITEMS[:3], past, lambda item, begun: known.update({item: begun}) or "")
+    assert known == {"0": True, "1": False, "2": False}
+
+
 def test_after_ctrl_c_the_items_at_work_end_and_the_next_run_goes_on(batch, tmp_path):
     def interrupt(item, outcome, summary):
         if summary.done == 3:

@@ -13,7 +13,7 @@ from ..errors import InputError, TsoError
 from ..io.output import reason
 from ..signals import at_interrupt
 from ..workers import Ended, each
-from .journal import RETURNED, STARTED, Journal, Past
+from .journal import RETURNED, STARTED, TRIED_AGAIN, Journal, Past
 
 # Results of earlier runs are checked in tasks of about so long.
 CHECKING_SECONDS = 1.0
@@ -86,7 +86,8 @@ def tasks_of(
     for item, arguments in items:
         one = past.get(item, Past())
         written = bool(one.end.get("output"))
-        known = written or one.starts > 0
+        # A process that died may have written its result before.
+        known = written or one.starts > 0 or one.end.get("event") in TRIED_AGAIN
         tasks.append(Task(item, arguments, one.key, written, refusal(item, known)))
     return tasks
 
