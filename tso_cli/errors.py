@@ -53,6 +53,7 @@ EXTRAS = {
     "pycocotools": ("compressed run lengths of COCO need", "coco"),
     "dask": ("a cluster needs", "dask"),
     "distributed": ("a cluster needs", "dask"),
+    "rerun": ("recordings of the optimisation need", "rerun"),
     "fsspec": ("files that an address names need", "remote"),
 }
 

@@ -49,7 +49,10 @@ def test_the_best_iterate_is_kept_and_every_step_reported():
     assert optimised.first_loss == losses[0]
     assert optimised.best_loss == losses[2]
     np.testing.assert_array_equal(optimised.best, parameters.iterates[2])
-    assert reported == [(11, 99, losses[1]), (12, 99, losses[2]), (13, 99, losses[3])]
+    for number, (step, steps, loss, points) in enumerate(reported, 1):
+        assert (step, steps, loss) == (10 + number, 99, losses[number])
+        np.testing.assert_array_equal(points, parameters.iterates[number])
+    assert len(reported) == 3
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

@@ -50,6 +50,16 @@ def test_tensors_lists_and_views_give_the_result_of_arrays(chair):
     assert cloud.start.flags.c_contiguous
 
 
+def test_progress_reports_the_points_of_every_step_in_the_unit_of_the_cloud(chair):
+    points, reported, given = 3.0 * chair.points + 5.0, [], chair.camera
+    camera = replace(given, t=3.0 * given.t - given.R @ np.full(3, 5.0))
+    config = RefineConfig(preset="paper", steps=4)
+    result = refine(points, chair.mask, camera, config, progress=lambda *one: reported.append(one))
+    assert [one[:2] for one in reported] == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert [one[2] for one in reported] == result.fit.losses[1:]
+    np.testing.assert_allclose(reported[result.fit.best_step - 1][3], result.points, atol=1e-9)
+
+
 def test_zero_steps_return_the_start_bit_for_bit(chair):
     points, mask, camera, _ = chair
     result = refine(

@@ -30,8 +30,8 @@ NEEDED = {
     "threadpoolctl": "threadpoolctl",
     "click": "click",
 }
-# open3d has two packages with the same module.
-PACKAGES = {"open3d": ("open3d-cpu", "open3d")}
+# Modules whose packages have other names; open3d has two.
+PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "rerun": ("rerun-sdk",)}
 SLOW = ("torch", "open3d")
 """What takes seconds to import."""
 

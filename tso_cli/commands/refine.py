@@ -194,6 +194,11 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     help="Picture of mask, silhouette and cloud before and after, .png.",
 )
 @click.option("--report", type=PATH, help="Interactive page of the result, .html.")
+@click.option(
+    "--rerun",
+    type=PATH,
+    help="Recording of the optimisation for the viewer rerun, .rrd.",
+)
 @options.flag(
     "--record",
     "Write NAME.record.json next to the result: inputs, settings, decisions, findings.",

@@ -22,6 +22,7 @@ from ..scene.load import Placing, Scene, load_points_scene
 from .options import FIT, command_line, require_output
 
 if TYPE_CHECKING:
+    from ..plots.recording import Iterates
     from .refine_report import RefineReport
 
 
@@ -192,6 +193,7 @@ class RefineOutputs:
     own_suffix: str  # of the input, if it is written again with other points
     overlay: Path | None
     report: Path | None
+    rerun: Path | None
     record: Path | None
     write_camera: Path | None
     overwrite: bool
@@ -200,12 +202,16 @@ class RefineOutputs:
         """InputError for an output that cannot be written or would replace another file."""
         check_suffix(self.output, self.own_suffix)
         check_output(self.output, self.overwrite)
-        if self.overlay is not None:
-            require_output(self.overlay, ".png", self.overwrite)
-        if self.report is not None:
-            require_output(self.report, ".html", self.overwrite)
-        for name, file in (("--overlay", self.overlay), ("--report", self.report)):
-            if file is not None and file.resolve() in [path.resolve() for path in inputs]:
+        shown = {
+            "--overlay": (self.overlay, ".png"),
+            "--report": (self.report, ".html"),
+            "--rerun": (self.rerun, ".rrd"),
+        }
+        for name, (file, suffix) in shown.items():
+            if file is None:
+                continue
+            require_output(file, suffix, self.overwrite)
+            if file.resolve() in [path.resolve() for path in inputs]:
                 raise InputError(f"{file}: is an input, expected another name for {name}")
         if self.record is not None:
             check_output(self.record, self.overwrite)
@@ -220,19 +226,30 @@ class RefineOutputs:
                     "for --write-camera"
                 )
 
+    def recorder(self) -> Iterates | None:
+        """What keeps the steps for --rerun; fails at once where rerun is not installed."""
+        if self.rerun is None:
+            return None
+        import rerun  # noqa: F401
+
+        from ..plots.recording import Iterates
+
+        return Iterates()
+
     def write(
         self,
         result: RefineResult,
         scene: Scene,
         inputs: RefineInputs,
         report: Callable[[], tuple[RefineReport, list[str]]],
+        iterates: Iterates | None,
     ) -> None:
         """Write all files, or none: the others take their names once the cloud is written.
 
-        ``report`` makes what page and record say, and the warnings.
+        ``report`` makes what page and record say, and the warnings. ``iterates`` are for --rerun.
         """
         photos: list[Pixels | None] = []
-        if self.overlay is not None or self.report is not None:
+        if self.overlay or self.report or self.rerun:
             from ..scene.photos import photos_of
 
             photos = photos_of(scene, inputs.view_files, inputs.fit)
@@ -248,6 +265,12 @@ class RefineOutputs:
                 page = stack.enter_context(atomic_output(self.report, self.overwrite))
                 of_run, warned = report()
                 write_page(page, result, scene, photos, of_run.page(warned, command_line()))
+            if self.rerun is not None and iterates is not None:
+                from ..plots.recording import write_recording
+
+                recording = stack.enter_context(atomic_output(self.rerun, self.overwrite))
+                lines = report()[0].summary()
+                write_recording(recording, result, scene, photos, iterates, lines)
             if self.record is not None:
                 of_run, warned = report()
                 temporary = stack.enter_context(atomic_output(self.record, self.overwrite))

@@ -21,7 +21,7 @@ SCHEMA = 1
 """Version of the form of records."""
 LARGEST_CONFIG = 16 << 20  # bytes
 # Options that say where results go, or what is printed: they do not change a result.
-WRITTEN = ("overlay", "report", "write_camera")
+WRITTEN = ("overlay", "report", "rerun", "write_camera")
 OF_RUN = ("record", "overwrite", "check", "quiet", "verbose", "as_json")
 OF_OUTPUT = ("output", *WRITTEN, *OF_RUN)
 

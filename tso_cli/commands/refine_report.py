@@ -107,6 +107,7 @@ class RefineReport:
             "output": self.outputs.output if written else None,
             "overlay": self.outputs.overlay if written else None,
             "report": self.outputs.report if written else None,
+            "rerun": self.outputs.rerun if written else None,
             "record": self.outputs.record if written else None,
             "camera": views[0]["camera"],
             "views": views,

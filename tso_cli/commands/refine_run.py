@@ -11,6 +11,7 @@ from typing import Any
 from ..diagnosis.examine import NoOverlapError
 from ..diagnosis.hypotheses import left_handed
 from ..errors import GateError, InputError
+from ..geometry.arrays import Array
 from ..io.clouds import output_suffix
 from ..io.reading import require_memory
 from ..refinement import RefineConfig, RefineResult, refine
@@ -59,6 +60,7 @@ class RefineRun:
         self._require_points_mode()
         if not check:
             self._outputs.check(self._inputs.files)
+        self._iterates = None if check else self._outputs.recorder()
         self._scene = self._inputs.load()
         if verbose or (check and not quiet):
             self._log_sources()
@@ -95,6 +97,7 @@ class RefineRun:
                 self._scene,
                 self._inputs,
                 lambda: self._words_so_far(result, {"read": read, **result.cost.seconds}),
+                self._iterates,
             )
         finished = time.perf_counter()
         for text in self._words.warnings(result):
@@ -153,10 +156,14 @@ class RefineRun:
         points_mode = self._inputs.mode == "points"
         if points_mode and self._settings.points is None:
             require_memory(source, BYTES_OF_A_CONTROL_POINT * len(scene.points))
-        bar = options.ProgressBar("tso: refining")
+        bar, iterates = options.ProgressBar("tso: refining"), self._iterates
+        bar_shown = sys.stderr.isatty() and not self._quiet
 
-        def on_progress(step: int, total: int, loss: float) -> None:
-            bar(step, total, f"steps, loss {loss:.6g}" if self._verbose else "steps")
+        def on_progress(step: int, total: int, loss: float, points: Array) -> None:
+            if bar_shown:
+                bar(step, total, f"steps, loss {loss:.6g}" if self._verbose else "steps")
+            if iterates is not None:
+                iterates.add(step, loss, points)
 
         try:
             with options.naming(source):
@@ -168,7 +175,7 @@ class RefineRun:
                     network=scene.network,
                     image=scene.image,
                     known=given.known,
-                    progress=on_progress if sys.stderr.isatty() and not self._quiet else None,
+                    progress=on_progress if bar_shown or iterates is not None else None,
                 )
         except NoOverlapError as error:
             raise self._words.no_overlap(error) from None

@@ -13,8 +13,8 @@ import numpy as np
 from ..errors import is_interrupt
 from ..geometry.arrays import Array
 
-Progress = Callable[[int, int, float], None]
-"""Called with (step, steps, loss)."""
+Progress = Callable[[int, int, float, Array], None]
+"""Called with (step, steps, loss, points [N, 3]) of each step but the start."""
 Term = Callable[[Array], tuple[float, Array]]
 """The value of a loss at points [N, 3], and its gradient [N, 3]."""
 
@@ -61,7 +61,11 @@ class Optimised:
 
 def offset_progress(on_progress: Progress, done: int, total: int) -> Progress:
     """Reports the steps of a stage, which begins after ``done`` of ``total`` steps."""
-    return lambda step, _steps_of_stage, loss: on_progress(done + step, total, loss)
+
+    def report(step: int, _steps_of_stage: int, loss: float, points: Array) -> None:
+        on_progress(done + step, total, loss, points)
+
+    return report
 
 
 def sum_of(terms: list[Term]) -> Term:
@@ -107,7 +111,7 @@ def minimise(
                 # One assignment, so that Ctrl-C leaves all three of the same step.
                 best, lowest, best_step = points, value, step
             if on_progress and step:
-                on_progress(step, steps, value)
+                on_progress(step, steps, value, points)
             out_of_time = 0 < step < steps and time.perf_counter() >= until
             if value == 0.0 or out_of_time:
                 break

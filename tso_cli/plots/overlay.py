@@ -219,6 +219,14 @@ def _fitted(colours: NDArray[np.float64]) -> Image.Image:
     )
 
 
+def near_to_far(shares: Array) -> Pixels:
+    """The colours [N, 3] of shares [N]: yellow for 0, dark violet for 1."""
+    at = shares * (len(NEAR_TO_FAR) - 1.0)
+    stops = np.arange(len(NEAR_TO_FAR))
+    channels = [np.interp(at, stops, channel) for channel in NEAR_TO_FAR.T]
+    return np.rint(np.stack(channels, 1)).astype(np.uint8)
+
+
 def _dots(
     across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray[np.float64]
 ) -> Image.Image:
@@ -238,9 +246,6 @@ def _dots(
     canvas[((pixel[1] * side + pixel[0])[order, None] + disc).ravel()] = shade[order].repeat(
         len(disc)
     )
-    stops, shades = np.arange(len(NEAR_TO_FAR)), np.linspace(0.0, len(NEAR_TO_FAR) - 1.0, 255)
-    palette = np.stack([np.interp(shades, stops, channel) for channel in NEAR_TO_FAR.T], 1)
-    colours = np.vstack([np.rint(palette), [255, 255, 255]]).astype(np.uint8)
     image = Image.fromarray(canvas.reshape(side, side))
-    image.putpalette(colours.tobytes())
+    image.putpalette(near_to_far(np.linspace(0.0, 1.0, 255)).tobytes() + b"\xff\xff\xff")
     return image.convert("RGB").resize((PANEL, PANEL), Image.Resampling.BOX)

@@ -58,7 +58,8 @@ def refine(
     faces : [F, 3] whole numbers, the triangles of a mesh, array or tensor. 1,024 points of the
         surface move, and the vertices follow.
     known : findings about the input that the result should have too.
-    progress : called after every step with (step, steps, loss).
+    progress : called after every step with (step, steps, loss, points). The points [N, 3] are the
+        control points, in the frame and unit of the cloud.
 
     Returns
     -------

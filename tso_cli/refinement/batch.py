@@ -18,7 +18,6 @@ from ..errors import InputError, Interrupted, TsoError
 from ..geometry.view import View
 from ..kernels import blas
 from ..kernels.dispatch import decided, enough_to_load, planned, use_compiled
-from ..optimisation.loop import Progress
 from ..signals import at_interrupt
 from ..workers import Ended, Here, WorkerPool, cores, each
 from .api import compile_loops, work_of
@@ -74,7 +73,7 @@ def refine_batch(
     scenes: Sequence[Scene],
     config: RefineConfig | None = None,
     *,
-    progress: Progress | None = None,
+    progress: Callable[[int, int, float], None] | None = None,
     executor: Executor | None = None,
 ) -> list[RefineResult | TsoError]:
     """`refine_each` of a list of scenes, in their order.

@@ -10,6 +10,7 @@ from ..cloud.cloud import ControlledCloud
 from ..diagnosis.examine import Diagnosis, examine
 from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypothesis, verify_plane
+from ..geometry.arrays import Array
 from ..optimisation.camera_correction import corrected_cameras
 from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import WeighedProblem, optimise, steps_for, weigh
@@ -45,7 +46,8 @@ def run(
     if not clock.interrupted:
         with clock.phase("prepare"):
             settings = replace(settings, steps=steps_for(weighed, settings))
-    steps, report = (0, None) if clock.interrupted else (settings.steps, on_progress)
+    report = on_progress and _in_unit_of(problem.cloud, on_progress)
+    steps = 0 if clock.interrupted else settings.steps
     with clock.phase("optimise"):
         until = clock.until(settings.seconds)
         optimised, problem = optimise(weighed, settings, steps, network, report, until)
@@ -66,6 +68,15 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     if clock.interrupted:
         raise KeyboardInterrupt
     return diagnosis, cloud
+
+
+def _in_unit_of(cloud: ControlledCloud, on_progress: Progress) -> Progress:
+    """Reports points in the unit of the cloud."""
+
+    def report(step: int, steps: int, loss: float, points: Array) -> None:
+        on_progress(step, steps, loss, cloud.denormalise(points))
+
+    return report
 
 
 def _examined(scene: RefineScene, cloud: ControlledCloud, settings: Settings) -> Diagnosis:
