@@ -2,13 +2,11 @@
 
 import json
 import os
-import random
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,8 @@ import pytest
 from tests.scenes import EXAMPLES
 from tso_cli.batch.journal import ENDS, entries
 from tso_cli.io.clouds import read_cloud, write_cloud
+from tso_cli.lab.bench.scale import conclude, long_batch, processes_of, write_poison
+from tso_cli.lab.study import Progress
 
 ROOT = Path(__file__).parents[2]
 CHAIR, CAR = EXAMPLES / "chair", EXAMPLES / "car"
@@ -176,69 +176,19 @@ def test_a_wrong_file_of_options_is_refused(folder, tso, name, text, message):
     assert message in tso("refine", "initial.ply", "mask.png", "--config", name).refusal
 
 
-def poisonous(folder):
-    """A package with a reader of .poison that kills its process; the variables to find it."""
-    info = folder / "poison-1.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: poison\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[tso.clouds]\npoison = poison:read\n")
-    (folder / "poison.py").write_text(
-        "import os\ndef read(data, path):\n    os.kill(os.getpid(), 9)\n"
-    )
-    return os.environ | {"PYTHONPATH": f"{folder}:{Path(__file__).parents[2]}"}
-
-
 def started(tmp_path, environment, *more):
     command = [sys.executable, "-m", "tso_cli", "batch", "items.csv", "-o", "out", "-q", *more]
     return subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
 
 
-def children_of(process):
-    """The processes below one, by /proc."""
-    tree = {}
-    for status in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = status.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        tree.setdefault(int(fields[1]), []).append(int(status.parent.name))
-    return tree.get(process, [])
-
-
 @linux
 @pytest.mark.slow
-def test_after_any_kills_every_item_ends_once_and_nothing_is_left(items, tmp_path):
-    environment = poisonous(tmp_path / "plugin") | {"OMP_NUM_THREADS": "2"}
-    Path("p.poison").write_text("x")
-    names = [f"{number}.ply" for number in range(60)]
-    rows = [row(name) for name in names]
-    items(HEADER, *rows, row("poison.ply", "p.poison"), row("broken.ply", "nothing.ply"))
-    dice = random.Random(0)
-    for _ in range(8):
-        process = started(tmp_path, environment)
-        time.sleep(dice.uniform(0.5, 2.5))
-        victims = children_of(process.pid)
-        if victims and dice.random() < 0.7:
-            for victim in dice.sample(victims, dice.randint(1, len(victims))):
-                os.kill(victim, signal.SIGKILL)
-            time.sleep(dice.uniform(0.0, 0.5))
-        if process.poll() is None:
-            process.send_signal(dice.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGINT]))
-        process.wait()
-        until = time.monotonic() + 20.0
-        while any(Path(f"/proc/{victim}").exists() for victim in victims):
-            assert time.monotonic() < until
-            time.sleep(0.05)
-    assert started(tmp_path, environment).wait() == 3
-    ends = ends_of("out/journal.jsonl")
-    assert {name: ends[name].count("done") for name in names} == dict.fromkeys(names, 1)
-    assert "done" not in ends["poison.ply"]
-    assert ends["broken.ply"][-1] == "refused"
-    files = Counter(path.suffix for path in Path("out").iterdir())
-    assert files == {".ply": 60, ".json": 60, ".jsonl": 1}
-    reason = [e.get("reason", "") for e in entries(Path("out/journal.jsonl"))
-              if e["item"] == "poison.ply"][-1]  # fmt: skip
-    assert "was killed by SIGKILL" in reason
+def test_after_any_kills_every_item_ends_once_and_nothing_is_left():
+    cases = long_batch(100, 8, "processes", 0, Progress(), between=(0.5, 2.5))
+    claims = conclude(cases)["claims"]
+    left = [one for one in claims if "kills" in one["claim"] or "no temporary" in one["claim"]]
+    assert len(left) == 3
+    assert all(one["holds"] for one in left), left
 
 
 @linux
@@ -246,7 +196,9 @@ def test_after_any_kills_every_item_ends_once_and_nothing_is_left(items, tmp_pat
 def test_a_cluster_of_dask_loses_nothing_and_names_the_poison(items, tmp_path):
     """Two workers, one of which is killed on the way, and an item that kills its worker."""
     pytest.importorskip("distributed")
-    environment = poisonous(tmp_path / "plugin") | {"OMP_NUM_THREADS": "2"}
+    write_poison(tmp_path / "plugin")
+    path = f"{tmp_path}/plugin:{Path(__file__).parents[2]}"
+    environment = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "2"}
     Path("p.poison").write_text("x")
     names = [f"{number}.ply" for number in range(40)]
     items(HEADER, *(row(name) for name in names), row("poison.ply", "p.poison"))
@@ -257,7 +209,7 @@ def test_a_cluster_of_dask_loses_nothing_and_names_the_poison(items, tmp_path):
         assert time.monotonic() < until
         time.sleep(0.02)
     # The last child is a worker; the first are those that watch over the others.
-    os.kill(max(children_of(process.pid)), signal.SIGKILL)
+    os.kill(max(processes_of(process.pid)), signal.SIGKILL)
     assert process.wait() == 3
     ends = ends_of(journal)
     assert ends.pop("poison.ply") == ["failed"]

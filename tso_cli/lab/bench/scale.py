@@ -37,13 +37,13 @@ from .speed import machine
 CLOUDS = 300  # different bent clouds; items beyond use them again
 BEND = 0.06  # of a cloud's longest side
 BROKEN_EVERY = 500
+BETWEEN_KILLS = (0.3, 10.0)  # seconds
 POISON = "poison.ply"
 PART = 10  # pace and memory are of tenths of the items
 FEW = 60  # items of each way whose pace is compared
 NOTHING = "items that take no time"
 MANY = 5000  # of these
 MORE = 600  # items of a batch whose pace is compared: processes take a second to start
-# A package that registers a reader, which kills the process that reads.
 PLUGIN = {
     "poison-1.dist-info/METADATA": "Metadata-Version: 2.1\nName: poison\nVersion: 1\n",
     "poison-1.dist-info/entry_points.txt": "[tso.clouds]\npoison = poison:read\n",
@@ -59,20 +59,28 @@ CONVENTION = {
 Way = Callable[[Path], None]
 
 
-def plan(progress: Progress, *, items: int, kills: int, engine: str, seed: int) -> Plan:
-    """Compare the pace of ways, run a long batch, and kill it."""
+def plan(
+    progress: Progress, *, items: int, kills: int, engines: tuple[str, ...], seed: int
+) -> Plan:
+    """Compare the pace of ways; run a long batch of each engine, and kill it."""
     compile_loops()
     settings = {
         "items": items,
         "kills": kills,
-        "engine": engine,
+        "engines": list(engines),
         "seed": seed,
         "machine": machine(),
         "versions": {"tso": __version__, "python": platform.python_version()},
     }
     jobs = [
         ({"what": "pace"}, partial(_paces, seed)),
-        ({"what": "long"}, partial(_long, items, kills, engine, seed, progress)),
+        *(
+            (
+                {"what": "long", "engine": one},
+                partial(long_batch, items, kills, one, seed, progress),
+            )
+            for one in engines
+        ),
     ]
     return Plan(settings, jobs, "measuring")
 
@@ -103,11 +111,16 @@ def _folder(items: int, seed: int, poison: bool) -> Iterator[Path]:
             (folder / "it.poison").write_text("x")
             rows.insert(1 + items // 3, f"it.poison,{rows[1].split(',', 1)[1]}".replace(
                 "0.ply", POISON))  # fmt: skip
-            for place, text in PLUGIN.items():
-                (folder / "plugin" / place).parent.mkdir(parents=True, exist_ok=True)
-                (folder / "plugin" / place).write_text(text)
+            write_poison(folder / "plugin")
         (folder / "items.csv").write_text("\n".join(rows) + "\n")
         yield folder
+
+
+def write_poison(folder: Path) -> None:
+    """Write a package for Python's path, whose reader of .poison kills the process that reads."""
+    for place, text in PLUGIN.items():
+        (folder / place).parent.mkdir(parents=True, exist_ok=True)
+        (folder / place).write_text(text)
 
 
 def _environment(folder: Path) -> dict[str, str]:
@@ -175,7 +188,7 @@ def _no_work(task: Task) -> Outcome:
     return Outcome("done", "0" * 64, 0.0, values=values | {"output": task.item})
 
 
-def _processes(parent: int) -> list[int]:
+def processes_of(parent: int) -> list[int]:
     """A process and all below it."""
     below: dict[int, list[int]] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
@@ -201,8 +214,15 @@ def _memory(processes: list[int]) -> float:
     return total * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def _long(items: int, kills: int, engine: str, seed: int, progress: Progress) -> Cases:
-    """Half of the items in peace, then kills, then the rest."""
+def long_batch(
+    items: int,
+    kills: int,
+    engine: str,
+    seed: int,
+    progress: Progress,
+    between: tuple[float, float] = BETWEEN_KILLS,
+) -> Cases:
+    """Half of the items in peace, then kills, then a run to the end in peace."""
     dice = random.Random(seed)
     with _folder(items, seed, poison=True) as folder:
         journal, samples = folder / "out" / NAME, []
@@ -212,23 +232,25 @@ def _long(items: int, kills: int, engine: str, seed: int, progress: Progress) ->
                 _command("batch", "items.csv", "-o", "out", "-q", "--engine", engine), cwd=folder,
                 env=_environment(folder), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )  # fmt: skip
-            peaceful = killed == 0
-            until = time.monotonic() + dice.uniform(0.3, 20.0)
+            before, peaceful = killed, killed == 0
+            until = time.monotonic() + dice.uniform(*between)
             while process.poll() is None:
                 time.sleep(0.2 if not peaceful else 2.0)
                 ended = _ended(journal) if peaceful else 0
                 if peaceful:
-                    samples.append((ended, time.time(), _memory(_processes(process.pid))))
+                    samples.append((ended, time.time(), _memory(processes_of(process.pid))))
                     progress.report("items", min(ended, items), items)
                 if killed < kills and (ended > items // 2 if peaceful
                                        else time.monotonic() > until):  # fmt: skip
                     killed += 1
                     orphans += _kill(process, dice)
-            if process.returncode in (0, 3) and killed >= kills:
-                break
-            if process.returncode in (0, 3):
+                    until = time.monotonic() + dice.uniform(*between)
+            if process.returncode in (0, 3) and killed == before:
+                if killed >= kills:
+                    break
                 killed += 1  # nothing was left to be killed
-        return [*_tenths(samples, items), _left(folder, items, killed, orphans)]
+        rows = [*_tenths(samples, items), _left(folder, items, killed, orphans)]
+        return [{"what": "long", "engine": engine, **row} for row in rows]
 
 
 def _ended(journal: Path) -> int:
@@ -237,7 +259,7 @@ def _ended(journal: Path) -> int:
 
 def _kill(process: subprocess.Popen[bytes], dice: random.Random) -> int:
     """Kill the batch, or processes of it, or both; how many processes outlive the batch."""
-    mine, *below = _processes(process.pid)
+    mine, *below = processes_of(process.pid)
     whom = dice.choice(["parent", "worker", "both"])
     if whom != "parent" and below:
         for victim in dice.sample(below, dice.randint(1, len(below))):
@@ -248,7 +270,7 @@ def _kill(process: subprocess.Popen[bytes], dice: random.Random) -> int:
         return 0
     with _gone():
         os.kill(mine, dice.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGINT]))
-    below = _processes(process.pid)[1:] or below
+    below = processes_of(process.pid)[1:] or below
     process.wait()
     until = time.monotonic() + 10.0
     while any(Path(f"/proc/{one}").exists() for one in below) and time.monotonic() < until:
@@ -274,7 +296,6 @@ def _tenths(samples: list[tuple[int, float, float]], items: int) -> Cases:
         (low, begun, _), (high, ended, _) = inside[0], inside[-1]
         cases.append(
             {
-                "what": "long",
                 "tenth": number + 1,
                 "items_per_second": (high - low) / (ended - begun),
                 "memory_MiB": max(memory for _, _, memory in inside),
@@ -296,7 +317,6 @@ def _left(folder: Path, items: int, kills: int, orphans: int) -> Record:
     files = Counter(path.suffix for path in (folder / "out").iterdir())
     hidden = [path.name for path in (folder / "out").iterdir() if path.name.startswith(".")]
     return {
-        "what": "long",
         "kills": kills,
         "items": items,
         "good": len(good),
@@ -322,27 +342,28 @@ def conclude(cases: Cases) -> Record:
             claim("tso batch has at least 0.95 of the pace of refine_batch",
                   over["refine_batch"] >= 0.95, f"{over['refine_batch']:.2f}"),
         ]  # fmt: skip
-    tenths = [row for row in cases if "tenth" in row]
-    if len(tenths) > 1:
+    for engine in dict.fromkeys(row["engine"] for row in cases if "tenth" in row):
+        tenths = [row for row in cases if "tenth" in row and row["engine"] == engine]
         first, last = tenths[0], tenths[-1]
         slower = last["items_per_second"] / first["items_per_second"]
         more = last["memory_MiB"] / first["memory_MiB"]
         claims += [
-            claim("the pace of the last tenth is at least 0.9 of the first", slower >= 0.9,
-                  f"{slower:.2f}"),
-            claim("memory grows by at most a tenth", more <= 1.1, f"{more:.2f} times"),
+            claim(f"{engine}: the last tenth has at least 0.9 of the first one's pace",
+                  slower >= 0.9, f"{slower:.2f}"),
+            claim(f"{engine}: memory grows by at most a tenth", more <= 1.1, f"{more:.2f} times"),
         ]  # fmt: skip
     for row in (row for row in cases if "kills" in row):
         whole = row["done_once"] == row["on_disk"] == row["good"]
         clean = row["temporaries"] == row["orphans"] == row["other_files"] == 0
+        engine = row["engine"]
         named = row["broken_refused"] == row["broken"] and set(row["poison"]) == {"failed"}
         claims += [
-            claim("after all kills every item is done once and on disk", whole,
+            claim(f"{engine}: after all kills every item is done once and on disk", whole,
                   f"{row['done_once']:,} and {row['on_disk']:,} of {row['good']:,}"),
-            claim("no temporary file, no orphan and nothing else is left", clean,
+            claim(f"{engine}: no temporary file, no orphan and nothing else is left", clean,
                   f"{row['temporaries']}, {row['orphans']}, {row['other_files']}"),
-            claim("broken items are refused, and the item that kills its process is named", named,
-                  f"{row['broken_refused']} of {row['broken']}; {row['poison']}"),
+            claim(f"{engine}: broken items are refused, the item that kills its process named",
+                  named, f"{row['broken_refused']} of {row['broken']}; {row['poison']}"),
         ]  # fmt: skip
     return {"claims": claims}
 
@@ -351,16 +372,21 @@ def tables(record: Record) -> list[Table]:
     cases, machine = record["cases"], record["settings"]["machine"]
     where = f"{machine['cpu']}, {machine['cores']} cores; {record['seconds']:.0f} s"
     paces = [[r["way"], r["items"], r["items_per_second"]] for r in cases if "way" in r]
-    tenths = [[r["tenth"], r["items_per_second"], r["memory_MiB"]] for r in cases if "tenth" in r]
+    tenths = [
+        [r["engine"], r["tenth"], r["items_per_second"], r["memory_MiB"]]
+        for r in cases if "tenth" in r
+    ]  # fmt: skip
     left = [
-        [name.replace("_", " "), str(value)]
+        [row["engine"], name.replace("_", " "), str(value)]
         for row in cases if "kills" in row
-        for name, value in row.items() if name != "what"
+        for name, value in row.items() if name not in ("what", "engine")
     ]  # fmt: skip
     return [
         Table(["way", "items", "items/s"], paces, "Pace", where, 1),
-        Table(["tenth of the items", "items/s", "MiB"], tenths, "A long batch", decimals=1),
-        Table(["", "number"], left, "After the kills"),
+        Table(
+            ["engine", "tenth of the items", "items/s", "MiB"], tenths, "A long batch", decimals=1
+        ),
+        Table(["engine", "", "number"], left, "After the kills"),
     ]
 
 
@@ -374,7 +400,9 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
                 for row in cases if "way" in row
             },
             "a long batch, by tenths of its items": {
-                f"tenth {row['tenth']}": {"items a second": row["items_per_second"]}
+                f"{row['engine']}, tenth {row['tenth']}": {
+                    "items a second": row["items_per_second"]
+                }
                 for row in cases if "tenth" in row
             },
         },
@@ -384,7 +412,7 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
 
 STUDY = Study(
     name="scale",
-    about="Takes half an hour for 20,000 items on two cores. Linux only: it reads /proc.",
+    about="Takes over an hour for 20,000 items on two cores. Linux only: it reads /proc.",
     parts=("points, best",),
     tables=tables,
     draw=draw,
@@ -395,7 +423,12 @@ STUDY = Study(
         Option("--items", "Items of the long batch.", int, 20_000, least=50),
         Option("--kills", "How often it is killed.", int, 100, least=0),
         Option(
-            "--engine", "What does the work.", default="processes", choices=("processes", "dask")
+            "--engine",
+            "May be repeated.  [default: both]",
+            default=("processes", "dask"),
+            choices=("processes", "dask"),
+            multiple=True,
+            name="engines",
         ),
         options.SEED,
     ),  # fmt: skip
