@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from PIL import Image
-from trimesh.visual.material import PBRMaterial
+from PIL import Image, ImageFile
+from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tests.fuzz import READERS, cameras, reader
@@ -212,23 +212,68 @@ def test_a_small_scene_of_many_gigabytes_is_refused_before_they_are_taken(
     assert_refused(r"needs about 0\.0\d+ GiB of memory", read, a_scene(tmp_path, instances=5000))
 
 
-def test_textures_that_do_not_fit_into_memory_together_are_refused_in_silence(
-    tmp_path, monkeypatch, recwarn
-):
-    large = Image.new("1", (9700, 9700))  # Pillow warns of its size
-    path = tmp_path / "textures.glb"
+def two_boxes(path, side):
+    """A mesh of two boxes, each with a black picture of its own that has one white pixel."""
     parts = [trimesh.creation.box() for _ in range(2)]
     for number, part in enumerate(parts):
-        image = large.copy()
+        image = Image.new("1", (side, side))
         image.putpixel((number, 0), 1)
-        texture = PBRMaterial(baseColorTexture=image)
+        texture = SimpleMaterial(image=image, name=f"material {number}")
+        texture = texture.to_pbr() if path.suffix == ".glb" else texture
         part.visual = trimesh.visual.TextureVisuals(np.zeros((8, 2)), material=texture)
-    path.write_bytes(trimesh.Scene(parts).export(file_type="glb"))
-    monkeypatch.setattr(reading, "free_memory", lambda: 2.6e9)
-    monkeypatch.setattr(textures, "as_colours", lambda *_: pytest.fail("was decoded"))
-    assert_refused(r"textures\.glb: needs about 2\.8 GiB of memory", read_mesh, path)
+    trimesh.Scene(parts).export(path)
+    return path
+
+
+@pytest.fixture
+def nothing_decoded(monkeypatch):
+    """Fails the test if the picture in a file is decoded."""
+    decoded = []
+    monkeypatch.setattr(ImageFile.ImageFile, "load", decoded.append)
+    yield
+    assert decoded == []
+
+
+@pytest.mark.usefixtures("nothing_decoded")
+@pytest.mark.parametrize("name", ["textures.glb", "textures.obj"])
+def test_textures_that_do_not_fit_into_memory_together_are_refused_in_silence(
+    tmp_path, monkeypatch, recwarn, name
+):
+    path = two_boxes(tmp_path / name, 9700)  # Pillow warns of its size
+    monkeypatch.setattr(reading, "free_memory", lambda: 1.9e9)
+    assert_refused(rf"{name}: needs about 1\.9 GiB of memory", read_mesh, path)
     assert len(read_mesh(path, textures=False).faces) == 24
     assert recwarn.list == []
+
+
+@pytest.mark.usefixtures("nothing_decoded")
+@pytest.mark.parametrize("name", ["textures.glb", "textures.obj"])
+def test_textures_with_too_many_pixels_together_are_refused_and_nothing_is_written(
+    tmp_path, monkeypatch, tso, name
+):
+    path = two_boxes(tmp_path / name, 8)
+    monkeypatch.setattr(textures, "MOST_PIXELS", 127)
+    refusal = tso("render", path, "-o", tmp_path / "out", "--views", 1).refusal
+    words = f"{name}: its textures have 128 pixels together, expected at most 127; make them"
+    assert words in refusal
+    assert not (tmp_path / "out").exists()
+    assert tso("eval", path, path).code == 0
+
+
+def test_sixteen_pictures_of_8192_x_8192_are_not_too_many():
+    assert 16 * 8192**2 <= textures.MOST_PIXELS < 24 * 10_000**2
+
+
+@pytest.mark.usefixtures("nothing_decoded")
+def test_a_picture_that_is_not_for_colours_counts_for_nothing_and_is_not_decoded(
+    tmp_path, monkeypatch
+):
+    material = PBRMaterial(normalTexture=Image.new("RGB", (64, 64)))
+    box = trimesh.creation.box()
+    box.visual = trimesh.visual.TextureVisuals(np.zeros((8, 2)), material=material)
+    box.export(tmp_path / "a.glb")
+    monkeypatch.setattr(textures, "MOST_PIXELS", 100)
+    assert read_mesh(tmp_path / "a.glb").textures == ()
 
 
 @pytest.mark.parametrize("name", BOMBS)

@@ -1,6 +1,7 @@
 """The page of a refinement: whole, small, safe, and alive in a browser."""
 
 import base64
+import io
 import json
 import re
 from pathlib import Path
@@ -15,11 +16,20 @@ from tests.scenes import EXAMPLES, seen, turned
 from tso_cli import Camera, RefineConfig, View
 from tso_cli import refine as refine_points
 from tso_cli.cli import main
+from tso_cli.io import textures
 from tso_cli.io.cameras import CameraRecord, write_cameras
+from tso_cli.io.textures import Texture
 from tso_cli.io.views import ViewFiles
 from tso_cli.plots.page.packing import packed
 from tso_cli.plots.page.pictures import outline
-from tso_cli.plots.page.solid import MOST_FACES, MOST_POINTS, Surface, _simplified, solid_of
+from tso_cli.plots.page.solid import (
+    MOST_FACES,
+    MOST_POINTS,
+    Surface,
+    _simplified,
+    _texture_uris,
+    solid_of,
+)
 from tso_cli.plots.page.write import as_json, text
 from tso_cli.refinement.scene import as_scene
 from tso_cli.scene.load import Scene, load_points_scene
@@ -181,6 +191,35 @@ def photo_of(size):
     return photo
 
 
+def textured_box():
+    box = trimesh.creation.box((0.5, 0.4, 0.3)).subdivide().subdivide()
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.fromarray(photo_of(64)))
+    box.visual = trimesh.visual.TextureVisuals(box.vertices[:, :2] + 0.5, material=material)
+    return box
+
+
+def test_a_mesh_whose_textures_are_too_large_is_drawn_without_them_and_the_page_says_so(
+    folder, refine, monkeypatch
+):
+    textured_box().export("box.glb")
+    monkeypatch.setattr(textures, "MOST_PIXELS", 64)
+    arguments = ("--camera", "camera.json", "--steps", "0", "--report", "page.html")
+    assert refine("box.glb", "mask.png", *arguments).code == 0
+    drawn = solid(Path("page.html").read_text())
+    assert drawn["textures"] == []
+    words = "box.glb: its textures have 4,096 pixels together, expected at most 64"
+    assert drawn["notes"][0].startswith(f"The mesh is drawn without textures: {words}")
+
+
+def test_a_picture_that_two_parts_share_is_drawn_in_the_colour_of_each():
+    white, faces = np.full((4, 4, 3), 200, np.uint8), (np.array([0]), np.zeros((1, 3, 2)))
+    tints = ((1.0, 0.5, 0.0), (0.0, 0.5, 1.0), None)
+    uris = _texture_uris(tuple(Texture(white, *faces, tint) for tint in tints))
+    shown = [Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))) for uri in uris]
+    colours = [image.convert("RGB").getpixel((1, 1)) for image in shown]
+    np.testing.assert_allclose(colours, [[200, 100, 0], [0, 100, 200], [200] * 3], atol=8)
+
+
 def test_a_mask_with_a_photo_in_its_colours_is_shown_as_a_photo(folder, refine):
     alpha = np.asarray(Image.open("mask.png").convert("L"))
     Image.fromarray(np.dstack([photo_of(256), alpha])).save("cut.png")
@@ -236,12 +275,7 @@ def browser(tmp_path_factory):
 def pages(tmp_path_factory):
     """Pages of a cloud with one view, and of a textured mesh with two."""
     folder = tmp_path_factory.mktemp("pages")
-    box = trimesh.creation.box((0.5, 0.4, 0.3)).subdivide().subdivide()
-    uv = box.vertices[:, :2] + 0.5
-    picture = Image.fromarray(photo_of(64))
-    box.visual = trimesh.visual.TextureVisuals(
-        uv, material=trimesh.visual.material.PBRMaterial(baseColorTexture=picture)
-    )
+    box = textured_box()
     (folder / "box.glb").write_bytes(box.export(file_type="glb"))
     records = []
     points = np.asarray(trimesh.sample.sample_surface(box, 4000, seed=0)[0]) * 1.15

@@ -11,6 +11,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import EpsImagePlugin, Image
+from trimesh.visual import gloss
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from tso_cli import render
@@ -126,9 +127,9 @@ def test_the_base_colour_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_n
         baseColorTexture=filled((200, 200, 200)), baseColorFactor=[0.5, 1.0, 0.2, 1.0]
     )
     square(material).export(tmp_path / "a.glb")
-    assert read_mesh(tmp_path / "a.glb").textures[0].pixels[0, 0] == pytest.approx(
-        [100, 200, 40], abs=1
-    )
+    (texture,) = read_mesh(tmp_path / "a.glb").textures
+    colours = texture.at(np.array([0, 1]), np.zeros((2, 2)))
+    np.testing.assert_allclose(colours, [[100, 200, 40]] * 2, atol=1)
     # Writers put anything there: trimesh a grey.
     np.testing.assert_array_equal(read_mesh(saved(tmp_path / "a.obj")).textures[0].pixels, CHECKS)
 
@@ -202,6 +203,59 @@ def test_a_normalised_or_warped_mesh_keeps_its_texture_and_a_painted_one_does_no
         warp(render.normalise(mesh), np.random.default_rng(0)).textures, mesh.textures
     )
     assert paint(mesh, np.random.default_rng(0)).textures == ()
+
+
+# Pictures that several materials name
+
+
+def test_materials_of_different_colours_share_the_picture_of_a_glb(tmp_path):
+    scene = trimesh.Scene()
+    for tint in ([1.0, 0.5, 0.0, 1.0], [0.0, 0.5, 1.0, 1.0]):
+        white = filled((200, 200, 200))
+        scene.add_geometry(square(PBRMaterial(baseColorFactor=tint, baseColorTexture=white)))
+    scene.export(tmp_path / "a.glb")
+    one, other = read_mesh(tmp_path / "a.glb").textures
+    assert one.pixels is other.pixels
+    colours = sorted(each.at(np.array([0]), np.zeros((1, 2)))[0].tolist() for each in (one, other))
+    np.testing.assert_allclose(colours, [[0, 100, 200], [200, 100, 0]], atol=1)
+
+
+def test_a_file_that_several_materials_of_an_obj_name_is_decoded_once(tmp_path):
+    filled(RED).save(tmp_path / "red.png")
+    materials = "newmtl one\nmap_Kd red.png\nnewmtl two\nmap_Kd ./red.png\n"
+    path = parts(tmp_path, materials, "usemtl one\nf 1/1 2/1 3/1\nusemtl two\nf 2/1 3/1 4/1\n")
+    one, other = read_mesh(path).textures
+    assert one.pixels is other.pixels
+
+
+def glossy(folder, own, monkeypatch):
+    """A mesh whose material has a picture for specular and glossiness, which is not converted."""
+
+    def change(header):
+        stated = {"diffuseTexture": {"index": 0}, "diffuseFactor": [1.0, 0.5, 1.0, 1.0]}
+        extensions = {"KHR_materials_pbrSpecularGlossiness": stated}
+        header["materials"] = [{"extensions": extensions, **own}]
+
+    converted = []
+    monkeypatch.setattr(gloss, "specular_to_pbr", lambda **given: converted.append(given))
+    path = edited(saved(folder / "a.glb"), change)
+    mesh = read_mesh(path)
+    assert len(read_mesh(path, textures=False).faces) == 2
+    assert converted == []
+    return mesh
+
+
+def test_the_diffuse_picture_of_a_glossy_material_stands_for_its_base_colour(tmp_path, monkeypatch):
+    (texture,) = glossy(tmp_path, {}, monkeypatch).textures
+    np.testing.assert_array_equal(texture.pixels, CHECKS)
+    assert texture.tint == pytest.approx((1.0, 0.5, 1.0), abs=0.01)
+
+
+def test_the_base_colour_of_a_glossy_material_comes_first_if_it_has_one(tmp_path, monkeypatch):
+    own = {"pbrMetallicRoughness": {"baseColorFactor": [0.0, 0.0, 1.0, 1.0]}}
+    mesh = glossy(tmp_path, own, monkeypatch)
+    assert mesh.textures == ()
+    assert mesh.colours[0].tolist() == [0, 0, 255]
 
 
 # Textures that cannot be used

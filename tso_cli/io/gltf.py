@@ -26,10 +26,10 @@ from ..geometry.normals import rigid_turn, same_places, turned_normals
 from .checked import Checked, kind
 from .gltf_scene import (
     COMPONENTS,
-    JSON_CHUNK,
     MAGIC,
     WIDTHS,
     document_of,
+    glb_of,
     memory_of,
     objects_of,
     places_of,
@@ -479,18 +479,13 @@ class GltfFile(Checked, MovableFile):
             text = with_uri(text, number, encoded)
         if self.suffix == ".gltf":
             return text.encode()
-        head = text.rstrip(" ").encode()
-        head += b" " * (-len(head) % 4)
-        stated, length = struct.unpack_from("<II", self.data, 8)
+        length = struct.unpack_from("<I", self.data, 12)[0]
         rest = self.data[20 + length :]  # the binary chunk, and any others
         own = next((i for i, one in enumerate(documents) if "uri" not in one), None)
         if own is not None and rest:
             binary = bytes(buffers[own])
             rest = rest[:8] + binary + rest[8 + len(binary) :]
-        # Bytes after the length that the file states stay outside of it.
-        total = max(20 + len(head) + len(rest) - max(len(self.data) - stated, 0), 0)
-        chunk = struct.pack("<I4s", len(head), JSON_CHUNK) + head
-        return self.data[:8] + struct.pack("<I", total) + chunk + rest
+        return glb_of(self.data, text, rest)
 
 
 def _ratio(one: Array, other: Array) -> Array:

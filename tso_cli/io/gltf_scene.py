@@ -23,6 +23,8 @@ COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 512
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # What a reader takes of a node's own copy of a mesh, in bytes.
 _BYTES_PER_VERTEX, _BYTES_PER_CORNER = 100, 60
+_GLOSS = "KHR_materials_pbrSpecularGlossiness"
+_GLOSS_PICTURES = ("diffuseTexture", "specularGlossinessTexture")
 
 
 def scene_text(data: bytes, path: Path) -> tuple[str, bytes]:
@@ -100,6 +102,38 @@ def memory_of(document: dict[str, Any]) -> int:
             corners = at(primitive["indices"], counts) if "indices" in primitive else vertices
             meshes[-1] += _BYTES_PER_VERTEX * vertices + _BYTES_PER_CORNER * corners
     return stored + sum(at(node.get("mesh"), meshes) for node in listed(document, "nodes"))
+
+
+def with_base_colours(data: bytes) -> bytes:
+    """The GLB ``data`` with base colours in place of pictures for specular and glossiness.
+
+    trimesh would mix the pictures of such a material in floating point while it reads, 240 bytes
+    for a pixel, and whether or not textures are wanted.
+    """
+    length = struct.unpack_from("<I", data, 12)[0]
+    document, changed = json.loads(data[20 : 20 + length]), False
+    for material in document.get("materials", ()):
+        extensions = material.get("extensions") or {}
+        gloss = extensions.get(_GLOSS)
+        if isinstance(gloss, dict) and gloss.keys() & set(_GLOSS_PICTURES):
+            del extensions[_GLOSS]
+            base = {"baseColorFactor": gloss.get("diffuseFactor", [1, 1, 1, 1])}
+            if "diffuseTexture" in gloss:
+                base["baseColorTexture"] = gloss["diffuseTexture"]
+            material.setdefault("pbrMetallicRoughness", base)
+            changed = True
+    return glb_of(data, json.dumps(document), data[20 + length :]) if changed else data
+
+
+def glb_of(data: bytes, text: str, rest: bytes) -> bytes:
+    """The GLB ``data`` with the JSON ``text``, and ``rest`` in place of what follows the JSON."""
+    head = text.rstrip(" ").encode()
+    head += b" " * (-len(head) % 4)
+    # Bytes after the length that the file states stay outside of it.
+    stated = struct.unpack_from("<I", data, 8)[0]
+    total = max(20 + len(head) + len(rest) - max(len(data) - stated, 0), 0)
+    chunk = struct.pack("<I4s", len(head), JSON_CHUNK) + head
+    return data[:8] + struct.pack("<I", total) + chunk + rest
 
 
 def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:

@@ -14,15 +14,18 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
 from ..signals import waiting_signals
+from .gltf_scene import with_base_colours
 from .mesh_checks import check_glb, check_off, check_ply, check_stl, parted
 from .obj import simplified
 from .output import reason, write_file
 from .ply import new_ply
 from .reading import read_bytes
-from .textures import Pictures, Texture
+from .textures import Pictures, Texture, Tint
 
 GREY = (170, 170, 170)  # the colour of faces that have no colour
 CHECKS = {"ply": check_ply, "off": check_off, "stl": check_stl, "glb": check_glb}
+# What makes of a file one that trimesh reads well.
+SIMPLER = {"obj": simplified, "off": parted, "glb": with_base_colours}
 SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
 
 
@@ -111,7 +114,7 @@ def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
 
     Raises InputError if the file cannot be read or a face names a missing vertex.
     """
-    parts, images = _load_parts(path, content, pictures)
+    parts, pictured = _load_parts(path, content, pictures)
     vertices, faces = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
     colours, coloured, textures = [], False, []
     first_vertex, first_face = 0, 0
@@ -121,11 +124,11 @@ def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
             raise InputError(
                 f"{path}: a face names vertex {wrong}, expected 0 to {len(points) - 1}"
             )
-        image = images.get(part.metadata.get("name"))
-        if image is not None:
+        picture = pictured.get(part.metadata.get("name"))
+        if picture is not None:
             numbers = np.arange(first_face, first_face + len(triangles))
             corners = np.asarray(part.visual.uv, dtype=np.float64)[triangles]
-            textures.append(Texture(image, numbers, corners))
+            textures.append(Texture(picture[0], numbers, corners, picture[1]))
         of_part = _face_colours(part, len(triangles))
         coloured = coloured or of_part is not None
         grey = np.full((len(triangles), 3), GREY, np.uint8)
@@ -143,8 +146,8 @@ def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
 
 def _load_parts(
     path: Path, content: bytes, pictures: Pictures
-) -> tuple[list[tuple[Any, Array, Indices]], dict[str, Pixels | None]]:
-    """Each part of the file with its vertices and faces, and the picture of each geometry."""
+) -> tuple[list[tuple[Any, Array, Indices]], dict[str, tuple[Pixels, Tint | None]]]:
+    """Each part of the file with its vertices and faces, and the pictures of geometries."""
     with waiting_signals():
         import trimesh
     # trimesh logs its own errors with a traceback. The one line that is raised below replaces them.
@@ -156,15 +159,14 @@ def _load_parts(
         with np.errstate(all="ignore"), warnings.catch_warnings(), waiting_signals():
             warnings.simplefilter("ignore")
             kind = path.suffix.lower()[1:]
-            if kind == "obj":
-                content = simplified(content)
-            elif kind in CHECKS:
+            if kind in CHECKS:
                 CHECKS[kind](content, path)
-                content = parted(content) if kind == "off" else content
+            if kind in SIMPLER:
+                content = SIMPLER[kind](content)
             scene = trimesh.load_scene(
                 io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
             )
-            images = {name: pictures.take(geometry) for name, geometry in scene.geometry.items()}
+            pictured = pictures.take(scene.geometry)
             parts = []
             for part in scene.dump():
                 vertices = np.array(getattr(part, "vertices", ()), dtype=np.float64)
@@ -180,7 +182,7 @@ def _load_parts(
         ) from None
     finally:
         log.setLevel(before)
-    return parts, images
+    return parts, pictured
 
 
 def _face_colours(part: Any, count: int) -> Pixels | None:

@@ -11,6 +11,7 @@ import io
 import json
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,13 @@ from ..signals import waiting_signals
 from .images import FORMATS, PIXEL_LIMIT, as_colours
 from .reading import require_memory, shown
 
+# Pixels of all pictures on a mesh: 16 of 8192 x 8192. They take 4 GB and half a minute; pictures of
+# one colour take a thousandth of that on disk.
+MOST_PIXELS = 1 << 30
 _FORMATS = (*FORMATS, "TGA")
 # Bytes of a pixel of each picture, and of the one that is decoded.
-_KEPT, _DECODING = 8, 16
+_KEPT, _DECODING = 3, 16
+Tint = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +40,7 @@ class Texture:
     pixels: Pixels  # [H, W, 3], the first row on top
     faces: Indices  # [K], the faces of the mesh that the picture covers
     corners: Array  # [K, 3, 2], texture coordinates of their corners: u right, v up from lower left
+    tint: Tint | None = None  # the factors of red, green and blue by which the colours are seen
 
     def at(self, rows: Indices, barycentric: Array) -> Pixels:
         """Colours [N, 3] of points in the faces ``faces[rows]``.
@@ -46,7 +52,13 @@ class Texture:
         sides = np.array(self.pixels.shape[1::-1])
         # np.mod may round up to 1.
         column, from_below = np.minimum((np.mod(place, 1.0) * sides).astype(np.int64), sides - 1).T
-        return self.pixels[sides[1] - 1 - from_below, column]
+        return self.tinted(self.pixels[sides[1] - 1 - from_below, column])
+
+    def tinted(self, colours: Pixels) -> Pixels:
+        """Colours [..., 3] of the picture as the mesh shows them."""
+        if self.tint is None:
+            return colours
+        return np.rint(colours * np.array(self.tint)).astype(np.uint8)
 
 
 class Pictures:
@@ -63,26 +75,34 @@ class Pictures:
         self, path: Path, content: bytes, decode: bool, within: Path | None = None
     ) -> None:
         self.missing: list[str] = []
-        self.resolver: Any = _Folder(path, within, self._miss, self._opens)
+        self.resolver: Any = _Folder(path, within, self._miss)
         self._path, self._decode = path, decode
-        self._known: dict[int, tuple[Any, Pixels | None]] = {}
-        self._pixels = [0, 0]  # of all pictures, and of the largest
+        # Parts and materials may share a picture: by its bytes it is known again.
+        self._waiting: dict[bytes, tuple[Any, str]] = {}  # pictures to decode, and their names
         for name, data in _embedded(content) if decode and path.suffix.lower() == ".glb" else ():
-            if not self._opens(data):
+            if not _opens(data):
                 self._miss(name, "cannot be decoded")
 
-    def take(self, geometry: Any) -> Pixels | None:
-        """Take the picture [H, W, 3] off a part; None if there is none that can be used.
+    def take(self, parts: dict[str, Any]) -> dict[str, tuple[Pixels, Tint | None]]:
+        """Take the pictures off ``parts``, which keep only their plain colours.
 
-        The part keeps only its plain colour.
+        Returns the picture [H, W, 3] and the tint of each part that has one that can be used.
+        Raises InputError if the pictures are too large to be decoded together.
         """
-        # Pictures only decorate: an unusual material must not stop the work.
-        try:
-            return self._taken(geometry) if geometry.visual.kind == "texture" else None
-        except Exception:
-            return None
+        found: dict[str, tuple[bytes, Tint | None]] = {}
+        for name, part in parts.items():
+            # Pictures only decorate: an unusual material must not stop the work.
+            with suppress(Exception):
+                if part.visual.kind == "texture" and (taken := self._taken(part)):
+                    found[name] = taken
+        self._check_sizes()
+        # A picture that is decoded is forgotten: only its colours stay.
+        decoded = {data: self._decoded(*self._waiting.pop(data)) for data in list(self._waiting)}
+        known = {data: pixels for data, pixels in decoded.items() if pixels is not None}
+        return {name: (known[data], tint) for name, (data, tint) in found.items() if data in known}
 
-    def _taken(self, geometry: Any) -> Pixels | None:
+    def _taken(self, geometry: Any) -> tuple[bytes, Tint | None] | None:
+        """The bytes of the picture on a part and its tint."""
         with waiting_signals():
             from trimesh.visual.material import SimpleMaterial
 
@@ -92,47 +112,43 @@ class Pictures:
         image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
         # trimesh would copy and decode all pictures of the material for each place of the part.
         visual.material = SimpleMaterial(diffuse=material.main_color)
-        if image is None or not self._decode:
+        # trimesh makes an image without a format for an .obj that has coordinates and no material.
+        if image is None or image.format is None or not self._decode:
             return None
-        name = str(image.info.get("file_path") or material.name or f"number {len(self._known)}")
+        name = str(image.info.get("file_path") or material.name or f"number {len(self._waiting)}")
         if np.shape(visual.uv) != (len(geometry.vertices), 2) or not np.isfinite(visual.uv).all():
             self._miss(name, "has no coordinates on the mesh")
             return None
-        if id(image) not in self._known:
-            # The image is kept, so that no other image gets its id.
-            self._known[id(image)] = image, self._decoded(image, name)
-        pixels = self._known[id(image)][1]
-        if pixels is None or factor is None or (factor[:3] == 255).all():
-            return pixels
-        return np.rint(pixels * (factor[:3] / 255.0)).astype(np.uint8)
+        data = image.fp.getvalue()
+        self._waiting.setdefault(data, (image, name))
+        if factor is None or (factor[:3] == 255).all():
+            return data, None
+        red, green, blue = (factor[:3] / 255.0).tolist()
+        return data, (red, green, blue)
+
+    def _check_sizes(self) -> None:
+        """Raise InputError if the pictures have too many pixels, or there is no memory for all.
+
+        Their headers state their sizes: nothing has been decoded yet.
+        """
+        sizes = [image.width * image.height for image, _ in self._waiting.values()]
+        sizes = [size for size in sizes if size <= PIXEL_LIMIT]  # a larger one is not decoded
+        if sum(sizes) > MOST_PIXELS:
+            raise InputError(
+                f"{self._path}: its textures have {sum(sizes):,} pixels together, "
+                f"expected at most {MOST_PIXELS:,}; make them smaller"
+            )
+        require_memory(self._path, _KEPT * sum(sizes) + _DECODING * max(sizes, default=0))
 
     def _decoded(self, image: Any, name: str) -> Pixels | None:
-        if image.format is None:
-            return None  # trimesh made it for an .obj that has coordinates and no material
         try:
             if image.format not in _FORMATS:
                 raise InputError(f"{name}: is {image.format}, expected {', '.join(_FORMATS)}")
-            return as_colours(image, Path(name))[..., :3]
+            return np.ascontiguousarray(as_colours(image, Path(name))[..., :3])
         # Decoders fail on damaged files in many ways.
         except Exception:
             self._miss(name, "cannot be decoded")
             return None
-
-    def _opens(self, content: bytes) -> bool:
-        """Whether ``content`` is a picture; InputError where there is no memory for all of them."""
-        from PIL import Image
-
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # its size is checked here
-                with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-                    size = image.width * image.height
-        except Exception:
-            return False
-        if self._decode and size <= PIXEL_LIMIT:  # a larger one is not decoded
-            self._pixels = [self._pixels[0] + size, max(self._pixels[1], size)]
-            require_memory(self._path, _KEPT * self._pixels[0] + _DECODING * self._pixels[1])
-        return True
 
     def _miss(self, name: str, why: str, kind: str = "texture") -> None:
         problem = f"the {kind} {shown(name)} {why}"
@@ -143,19 +159,12 @@ class Pictures:
 class _Folder:
     """The files below ``within`` that the mesh ``path`` may name.
 
-    ``miss`` is called for pictures that are missing or damaged, ``opens`` says whether one is
-    readable.
+    ``miss`` is called for pictures that are missing or damaged.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        within: Path | None,
-        miss: Callable[..., None],
-        opens: Callable[[bytes], bool],
-    ) -> None:
+    def __init__(self, path: Path, within: Path | None, miss: Callable[..., None]) -> None:
         self._folder, self._miss = path.absolute().parent.resolve(), miss
-        self._opens = opens
+        self._read: dict[Path, bytes] = {}  # many materials may name one file
         self._within = self._folder if within is None else within.resolve()
 
     def get(self, name: str) -> bytes:
@@ -167,10 +176,11 @@ class _Folder:
         for candidate in (slashed, slashed.rpartition("/")[2]):
             place = (self._folder / candidate).resolve()
             if place.is_relative_to(self._within) and place.is_file():
-                content = place.read_bytes()
-                if picture and not self._opens(content):
-                    self._miss(name, "cannot be decoded")
-                return content
+                if place not in self._read:
+                    self._read[place] = place.read_bytes()
+                    if picture and not _opens(self._read[place]):
+                        self._miss(name, "cannot be decoded")
+                return self._read[place]
         if not slashed.lower().endswith(".bin"):
             self._miss(
                 name, "is not in this folder or below", "texture" if picture else "material file"
@@ -178,6 +188,19 @@ class _Folder:
         raise FileNotFoundError(name)
 
     __getitem__ = get
+
+
+def _opens(content: bytes) -> bool:
+    """Whether ``content`` is a picture."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # sizes are checked later, all together
+            Image.open(io.BytesIO(content), formats=_FORMATS).close()
+    except Exception:
+        return False
+    return True
 
 
 def _embedded(content: bytes) -> list[tuple[str, bytes]]:

@@ -6,7 +6,7 @@ Coordinates are centred on the start, and its longest side is 1.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from ...geometry.arrays import Array, Indices, Pixels
 from ...geometry.points import bounding_box_normalisation, scattered
 from ...io.clouds import PointCloud
 from ...io.meshes import GREY, Mesh, read_mesh
+from ...io.textures import Texture, Tint
 from ...refinement import RefineResult
 from ...scene.load import Scene
 from .packing import packed, picture_uri, text_of
@@ -38,14 +39,14 @@ FINEST_CELLS, COARSER = 4096, 0.8
 
 @dataclass
 class Surface:
-    """Triangles and their looks. ``textures`` : pictures; ``of_face`` [F], -1 for none."""
+    """Triangles and their looks. ``of_face`` [F] : the texture of each, -1 for none."""
 
     start: Array
     result: Array
     faces: Indices
     face_colours: Pixels | None = None
     vertex_colours: Pixels | None = None
-    textures: list[Pixels] = field(default_factory=list)
+    textures: tuple[Texture, ...] = ()
     of_face: Indices | None = None
     corners: Array | None = None  # [F, 3, 2] texture coordinates
 
@@ -159,7 +160,8 @@ def _textured(
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             mesh: Mesh = read_mesh(file.path)
-    except InputError:
+    except InputError as error:
+        notes.append(f"The mesh is drawn without textures: {error}.")
         return None
     notes += [f"{warning.message}." for warning in caught]
     vertices = (mesh.vertices - centre) / size
@@ -180,7 +182,7 @@ def _textured(
         vertices + (moved - start)[nearest],
         mesh.faces,
         face_colours=None if grey else mesh.colours,
-        textures=[texture.pixels for texture in mesh.textures],
+        textures=mesh.textures,
         of_face=of_face,
         corners=corners,
     )
@@ -220,18 +222,20 @@ def _simplified(surface: Surface) -> Surface:
     )
 
 
-def _texture_uris(textures: list[Pixels]) -> list[str]:
+def _texture_uris(textures: tuple[Texture, ...]) -> list[str]:
     uris: list[str] = []
     # Parts of a mesh may share a picture.
-    known: dict[int, str] = {}
+    looks = [(id(texture.pixels), texture.tint) for texture in textures]
+    known: dict[tuple[int, Tint | None], str] = {}
     for side in TEXTURE_SIDES:
         known.clear()
-        for pixels in textures:
-            if id(pixels) not in known:
-                image = Image.fromarray(pixels)
+        for look, texture in zip(looks, textures, strict=True):
+            if look not in known:
+                image = Image.fromarray(texture.pixels)
                 image.thumbnail((side, side), Image.Resampling.BOX)
-                known[id(pixels)] = picture_uri(image, photo=True)
-        uris = [known[id(pixels)] for pixels in textures]
+                image = Image.fromarray(texture.tinted(np.asarray(image)))
+                known[look] = picture_uri(image, photo=True)
+        uris = [known[look] for look in looks]
         if sum(map(len, uris)) <= MOST_TEXTURE:
             return uris
     return uris
