@@ -31,6 +31,15 @@ def waiting_signals() -> Iterator[None]:
             signal.raise_signal(waiting[0])
 
 
+def press_ctrl_c() -> None:
+    """Do from another thread what Ctrl-C does."""
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, signal.SIGINT)  # wakes the thread from what it waits for
+    else:
+        signal.raise_signal(signal.SIGINT)
+
+
 @contextmanager
 def at_interrupt(act: Callable[[], None], once: bool = False) -> Iterator[None]:
     """Inside, Ctrl-C calls ``act``; with ``once`` the second Ctrl-C does what it did before."""
@@ -41,7 +50,9 @@ def at_interrupt(act: Callable[[], None], once: bool = False) -> Iterator[None]:
 
     def interrupt(number: int, frame: Any) -> None:
         if once:
-            signal.signal(signal.SIGINT, before)
+            # In the background of a shell Ctrl-C is ignored, and SIGTERM comes here all the same.
+            ends = before if callable(before) else signal.default_int_handler
+            signal.signal(signal.SIGINT, ends)
         act()
 
     signal.signal(signal.SIGINT, interrupt)

@@ -1,12 +1,14 @@
 """The journal is read back after any end of its writer, and has one writer at a time."""
 
 import json
+import warnings
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
 from tests.corruption import assert_refused
-from tso_cli.batch.journal import Past, open_journal, read_journal
+from tso_cli.batch.journal import Past, open_journal, read_journals
 
 
 def test_the_past_of_an_item_is_its_last_end_and_the_starts_since(tmp_path):
@@ -14,9 +16,9 @@ def test_the_past_of_an_item_is_its_last_end_and_the_starts_since(tmp_path):
     with open_journal(path) as journal:
         for event in ("started", "failed", "started", "done", "started", "started"):
             journal.add("a", event, key=event)
-        journal.add("b", "refused", key="k")
+        journal.add("b", "doubtful", key="k")
         journal.add("c", "failed", key="k")
-    past = read_journal(path)
+    past = read_journals([path])
     assert past["a"].starts == 2
     assert past["a"].suspicious
     assert past["a"].key == "done"
@@ -32,7 +34,7 @@ def test_a_line_that_was_cut_off_says_nothing_and_harms_no_later_line(tmp_path):
     path.write_bytes(path.read_bytes() + b'{"item": "a", "event": "do')
     with open_journal(path) as journal:
         journal.add("b", "done", key="k")
-    past = read_journal(path)
+    past = read_journals([path])
     assert past["a"].starts == 1
     assert past["b"].key == "k"
 
@@ -61,5 +63,24 @@ def test_a_folder_in_place_of_a_journal_is_refused(tmp_path):
 @given(some.binary(max_size=200))
 def test_any_bytes_in_a_journal_are_no_more_than_lines_without_meaning(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("journal") / "j"
-    path.write_bytes(data + b"\n" + json.dumps({"item": "a", "event": "started"}).encode() + b"\n")
-    assert read_journal(path)["a"] == Past(starts=1)
+    line = json.dumps({"item": "a", "event": "started", "time": 1.0})
+    path.write_bytes(data + b"\n" + line.encode() + b"\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert read_journals([path])["a"] == Past(starts=1, begun=True)
+
+
+def test_damaged_lines_are_counted_and_lines_that_were_cut_off_are_not(tmp_path):
+    path = tmp_path / "journal.jsonl"
+    whole = '{"item": "a", "event": "started", "time": 1.0}'
+    path.write_text(f"rubbish\n{whole[:20]}\n{whole}\n[1, 2]\n")
+    with pytest.warns(UserWarning, match="2 lines are damaged"):
+        assert read_journals([path])["a"].starts == 1
+
+
+def test_the_later_of_two_journals_counts(tmp_path):
+    paths = [tmp_path / "journal.jsonl", tmp_path / "1-of-2.journal.jsonl"]
+    for path, event, when in zip(paths, ("failed", "done"), (1.0, 2.0), strict=True):
+        path.write_text(json.dumps({"item": "a", "event": event, "time": when, "key": "k"}) + "\n")
+    for some_order in (paths, paths[::-1]):
+        assert read_journals(some_order)["a"].end["event"] == "done"

@@ -2,14 +2,17 @@
 
 import os
 import signal
+import threading
+import time
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tso_cli.batch.journal import ENDS, entries, open_journal, read_journal
+from tso_cli.batch.journal import ENDS, entries, open_journal, read_journals
 from tso_cli.batch.run import Outcome, run, tasks_of
 from tso_cli.errors import InputError
+from tso_cli.signals import press_ctrl_c
 from tso_cli.workers import WorkerPool
 
 ITEMS = [(f"{number}", (str(number),)) for number in range(12)]
@@ -37,8 +40,8 @@ def batch(tmp_path):
     def go(items=ITEMS, poison=(), on_end=lambda *told: None):
         path = tmp_path / "journal.jsonl"
         with open_journal(path) as journal, WorkerPool(2) as pool:
-            past = read_journal(path)
-            tasks = tasks_of(items, past, lambda item, known: "")
+            past = read_journals([path])
+            tasks = tasks_of(items, past, lambda item, arguments: "")
             doing = partial(work, folder=tmp_path, poison=poison)
             return run(tasks, past, doing, unchanged, pool, 4, journal, on_end)
 
@@ -58,14 +61,15 @@ def test_every_item_ends_once_and_a_second_run_leaves_out_what_is_done(batch, tm
     assert summary.counts == {"done": 11, "refused": 1}
     assert ends(tmp_path) == {name: ["refused" if name == "5" else "done"] for name, _ in ITEMS}
     again = batch()
-    assert again.counts == {"skipped": 11, "refused": 1}
+    assert again.counts == {"done": 11, "refused": 1}
+    assert again.skipped == 11
     assert (tmp_path / "3").read_text() == "x"
 
 
 def test_an_item_whose_settings_changed_is_done_again(batch, tmp_path):
     batch()
     changed = [(name, ("other",) if name == "3" else arguments) for name, arguments in ITEMS]
-    assert batch(changed).counts == {"skipped": 10, "done": 1, "refused": 1}
+    assert batch(changed).skipped == 10
     assert (tmp_path / "3").read_text() == "xx"
 
 
@@ -78,7 +82,9 @@ def test_an_item_that_kills_its_process_is_named_and_loses_no_other(batch, tmp_p
         "its process was killed by SIGKILL, perhaps for lack of memory, 3 times"
     )
     # It is tried again by the next run: perhaps there is more memory then.
-    assert batch().counts == {"skipped": 10, "done": 1, "refused": 1}
+    rest = batch()
+    assert rest.counts == {"done": 11, "refused": 1}
+    assert rest.skipped == 10
 
 
 def test_an_item_that_was_begun_twice_without_an_end_is_done_last_and_alone(batch, tmp_path):
@@ -97,10 +103,10 @@ def test_what_a_process_wrote_before_it_died_is_of_this_batch(tmp_path):
         journal.add("0", "started")
         journal.add("0", "failed", deaths=3)
         journal.add("1", "refused", reason="exists already")
-    past = read_journal(tmp_path / "journal.jsonl")
-    known = {}
-    tasks_of(ITEMS[:3], past, lambda item, begun: known.update({item: begun}) or "")
-    assert known == {"0": True, "1": False, "2": False}
+    past = read_journals([tmp_path / "journal.jsonl"])
+    asked = []
+    tasks_of(ITEMS[:3], past, lambda item, arguments: asked.append(item) or "")
+    assert asked == ["1", "2"]
 
 
 def test_after_ctrl_c_the_items_at_work_end_and_the_next_run_goes_on(batch, tmp_path):
@@ -111,7 +117,9 @@ def test_after_ctrl_c_the_items_at_work_end_and_the_next_run_goes_on(batch, tmp_
     summary = batch(on_end=interrupt)
     assert summary.interrupted
     assert 3 <= summary.done <= 8
-    assert not [past for past in read_journal(tmp_path / "journal.jsonl").values() if past.starts]
+    assert not [
+        past for past in read_journals([tmp_path / "journal.jsonl"]).values() if past.starts
+    ]
     rest = batch()
     assert not rest.interrupted
     assert rest.done == 12
@@ -124,3 +132,23 @@ def test_a_second_ctrl_c_ends_at_once(batch):
 
     with pytest.raises(KeyboardInterrupt):
         batch(on_end=interrupt)
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_an_item_that_never_ends_is_given_up_some_time_after_one_ctrl_c(
+    batch, monkeypatch, ignored
+):
+    """Also where Ctrl-C is ignored, as in the background of a shell."""
+    if ignored:
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    monkeypatch.setattr("tso_cli.batch.run.PATIENCE", 0.3)
+    monkeypatch.setattr("tso_cli.batch.run.each", lambda *_, **__: (time.sleep(60) for _ in "x"))
+    threading.Timer(0.5, press_ctrl_c).start()
+    begun = time.monotonic()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            batch()
+    finally:
+        if ignored:
+            signal.signal(signal.SIGINT, handler)
+    assert time.monotonic() - begun < 30.0

@@ -1,5 +1,6 @@
 """`tso batch`: items end once whatever is killed; `--record` and `--config` repeat a run."""
 
+import errno
 import json
 import os
 import shutil
@@ -14,6 +15,7 @@ import pytest
 
 from tests.scenes import EXAMPLES
 from tso_cli.batch.journal import ENDS, entries
+from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.lab.bench.scale import conclude, long_batch, processes_of, write_poison
 from tso_cli.lab.study import Progress
@@ -74,10 +76,12 @@ def test_the_second_run_does_only_what_is_left_or_changed(items, tso):
     Path("out/a.ply").unlink()
     second = tso("batch", "items.csv", "-o", "out")
     assert "3 of 3 items: 2 done, 1 refused" in second.out
-    assert "1 x nothing.ply: " in second.out
+    assert "refused  c.ply: nothing.ply: cannot be read" in second.out
     assert second.code == 3
     third = tso("batch", "items.csv", "-o", "out")
-    assert "2 skipped, 1 refused" in third.out
+    assert "3 of 3 items: 2 done, 1 refused" in third.out
+    assert "2 ended in earlier runs" in third.out
+    assert third.code == 3
 
 
 def test_results_that_are_not_of_this_batch_are_not_replaced(items, tso):
@@ -88,6 +92,84 @@ def test_results_that_are_not_of_this_batch_are_not_replaced(items, tso):
         assert tso("batch", "items.csv", "-o", "out", "-q").code == 3
         assert Path("out/a.ply").read_text() == "mine"
     assert tso("batch", "items.csv", "-o", "out", "--overwrite", "-q").code == 0
+
+
+DOUBTFUL = f"{CHAIR / 'initial.ply'},{EXAMPLES / 'airplane/mask.png'},{CHAIR / 'camera.json'}"
+
+
+def test_a_batch_with_a_doubtful_item_never_seems_to_be_all_done(items, tso):
+    items("cloud,mask,camera", DOUBTFUL)
+    for skipped in (0, 1):
+        shown = tso("batch", "items.csv", "-o", "out")
+        assert shown.code == 3
+        assert "1 of 1 items: 1 doubtful" in shown.out
+        assert "  doubtful initial.refined.ply: confidence 0." in shown.out
+        assert ("1 ended in earlier runs" in shown.out) == bool(skipped)
+
+
+def test_only_doubtful_items_are_done_again_where_strict_changes(items, tso):
+    right = f"{CHAIR / 'initial.ply'},{CHAIR / 'mask.png'},{CHAIR / 'camera.json'}"
+    items("cloud,mask,camera,output", f"{DOUBTFUL},a.ply", f"{right},b.ply")
+    for more, skipped in (((), 0), (("--strict",), 1), (("--strict",), 2), ((), 1)):
+        found = json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json", *more).out)
+        assert (found["done"], found["doubtful"], found["skipped"]) == (1, 1, skipped)
+
+
+def test_an_item_stays_of_its_batch_whatever_became_of_it_since(items, tso):
+    shutil.copy(CHAIR / "initial.ply", "cloud.ply")
+    items(HEADER, row("a.ply", "cloud.ply"))
+    assert tso("batch", "items.csv", "-o", "out", "-q").code == 0
+    whole = Path("cloud.ply").read_bytes()
+    Path("cloud.ply").write_bytes(whole[:-40])
+    assert tso("batch", "items.csv", "-o", "out", "-q").code == 3
+    Path("cloud.ply").write_bytes(whole)
+    assert tso("batch", "items.csv", "-o", "out", "-q").code == 0
+    assert ends_of("out/journal.jsonl") == {"a.ply": ["done", "refused", "done"]}
+    Path("out/a.record.json").unlink()
+    assert tso("batch", "items.csv", "-o", "out", "-q").code == 0
+    assert Path("out/a.record.json").exists()
+
+
+def test_runs_with_other_parts_go_on_but_not_at_the_same_time(items, tso):
+    items(HEADER, *(row(f"{number}.ply") for number in range(6)))
+    for index in (1, 2):
+        assert tso("batch", "items.csv", "-o", "out", "--shard", f"{index}/2", "-q").code == 0
+    whole = json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)
+    assert (whole["done"], whole["skipped"]) == (6, 6)
+    third = ("batch", "items.csv", "-o", "out", "-q", "--shard", "1/3")
+    assert tso(*third).code == 0
+    command = "from pathlib import Path; from tso_cli.batch.journal import open_journal; import sys"
+    command += "\nwith open_journal(Path(sys.argv[1])): print('open', flush=True); input()"
+    with subprocess.Popen([sys.executable, "-c", command, "out/journal.jsonl"], text=True,
+                          stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:  # fmt: skip
+        assert other.stdout.readline() == "open\n"
+        assert "journal.jsonl: another process is writing it" in tso(*third).refusal
+        other.communicate("\n")
+
+
+def test_a_full_disk_loses_no_item(items, tso, monkeypatch):
+    """`write_cloud` finds the disk full, in this process."""
+    from tso_cli.batch.run import Task
+    from tso_cli.commands import batch_item, refine_files
+
+    def full(*arguments, **more):
+        raise InputError("a.ply: cannot be written") from OSError(errno.ENOSPC, "no space")
+
+    words = (str(CHAIR / "initial.ply"), str(CHAIR / "mask.png"), "-o", "a.ply", "--steps", "1")
+    monkeypatch.setattr(refine_files, "write_cloud", full)
+    outcome = batch_item.refine_item(Task("a.ply", words), False, None)
+    assert outcome.event == "failed"
+    assert outcome.key is None
+
+
+def test_files_that_no_batch_has_written_are_not_replaced(items, tso):
+    items(HEADER, row("a.ply"))
+    Path("out").mkdir()
+    for name, code in (("index.html", 2), ("a.record.json", 3)):
+        Path("out", name).write_text("mine")
+        assert tso("batch", "items.csv", "-o", "out", "-q", "--report").code == code
+        assert Path("out", name).read_text() == "mine"
+        Path("out", name).unlink()
 
 
 def test_no_doubtful_result_is_written_if_that_is_asked(items, tso):
@@ -261,7 +343,7 @@ def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
     again = json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)
     assert again["skipped"] == 2
     os.utime("initial.ply", (0, 0))
-    assert json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)["done"] == 1
+    assert json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json").out)["skipped"] == 1
     Path("out/journal.jsonl").unlink()
     assert (
         "exists already"
@@ -304,10 +386,10 @@ def recipe(*words):
 def test_the_recipe_for_slurm_does_every_item_once(items, tmp_path):
     """`srun` only runs what it is given, as on a cluster of one machine."""
     items(HEADER, *(row(f"{number}.ply") for number in range(3)))
-    line = recipe("srun", "SLURM_ARRAY_TASK_ID").replace("-j 16", "-q")
+    line = recipe("srun", "SLURM_ARRAY_TASK_ID").replace("/64 -j 16", "/2 -q")
     script = f'srun() {{ "$@"; }}\ntso() {{ {sys.executable} -m tso_cli "$@"; }}\n{line}\n'
     for index in (1, 2):
-        variables = {"SLURM_ARRAY_TASK_ID": str(index), "SLURM_ARRAY_TASK_COUNT": "2"}
+        variables = {"SLURM_ARRAY_TASK_ID": str(index)}
         environment = os.environ | variables | {"PYTHONPATH": str(ROOT)}
         subprocess.run(["sh", "-c", script], env=environment, cwd=tmp_path, check=True)
     ends = [ends_of(path) for path in sorted(Path("results").glob("*.jsonl"))]

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import heapq
 import json
 import os
 import time
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..errors import InputError, TsoError
 from ..io.output import reason, sole_writer
 
 NAME = "journal.jsonl"
 STARTED = "started"
 RETURNED = "returned"  # a start that came to nothing, because the batch was ending
-# How an item ends. An item that ended as one of the second kind is tried again by the next run.
+# How an item ends. An item that ended as one of the second kind is tried again by every run: what
+# was wrong may be mended, and nobody takes a refusal for a result.
 ENDS = ("done", "doubtful", "refused", "failed")
-TRIED_AGAIN = ("failed",)
+TRIED_AGAIN = ("refused", "failed")
+# How every whole line begins.
+BEGINNING = b'{"item": '
 # An item that was started so often without an end may have ended the whole batch.
 SUSPICIOUS_STARTS = 2
 
@@ -29,6 +34,7 @@ class Past:
     """What earlier runs did with an item."""
 
     starts: int = 0  # since its last end
+    begun: bool = False  # ever
     end: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -41,13 +47,27 @@ class Past:
         return self.starts >= SUSPICIOUS_STARTS
 
 
-def read_journal(path: Path) -> dict[str, Past]:
+def journals_of(output: Path, shard: tuple[int, int] | None) -> tuple[Path, list[Path]]:
+    """The journal of a run in the folder ``output``, and those of runs with other parts.
+
+    Runs with equally many parts share no item.
+    """
+
+    def parts_of(path: Path) -> str:
+        return path.name.removesuffix(NAME).partition("-of-")[2]
+
+    part = f"{shard[0]}-of-{shard[1]}." if shard else ""
+    own = output / f"{part}{NAME}"
+    return own, [one for one in sorted(output.glob(f"*{NAME}")) if parts_of(one) != parts_of(own)]
+
+
+def read_journals(paths: Sequence[Path]) -> dict[str, Past]:
     """Item -> its past. A line that was cut off by the end of its writer says nothing."""
     past: dict[str, Past] = {}
-    for entry in entries(path):
+    for entry in heapq.merge(*map(entries, paths), key=lambda entry: entry["time"]):
         one = past.setdefault(entry["item"], Past())
         if entry["event"] == STARTED:
-            one.starts += 1
+            one.starts, one.begun = one.starts + 1, True
         elif entry["event"] == RETURNED:
             one.starts -= 1
         else:
@@ -56,7 +76,8 @@ def read_journal(path: Path) -> dict[str, Past]:
 
 
 def entries(path: Path) -> Iterator[dict[str, Any]]:
-    """The whole lines of a journal; none if there is no such file."""
+    """The whole lines of a journal; none if there is no such file. Warns of other lines."""
+    damaged = 0
     try:
         lines = path.open("rb")
     except FileNotFoundError:
@@ -68,10 +89,16 @@ def entries(path: Path) -> Iterator[dict[str, Any]]:
             try:
                 entry = json.loads(line)
             except ValueError:
+                damaged += not line.startswith(BEGINNING)  # others were cut off
                 continue
             known = isinstance(entry, dict) and entry.get("event") in (STARTED, RETURNED, *ENDS)
-            if known and isinstance(entry.get("item"), str):
+            of_item = known and isinstance(entry.get("item"), str)
+            if of_item and isinstance(entry.get("time"), (int, float)):
                 yield entry
+            else:
+                damaged += 1
+    if damaged:
+        warnings.warn(f"{path}: {damaged:,} lines are damaged, and say nothing", stacklevel=2)
 
 
 class Journal:
@@ -83,7 +110,13 @@ class Journal:
     def add(self, item: str, event: str, **more: Any) -> None:
         """Append a line. It is written at once and whole, whatever becomes of this process."""
         entry = {"item": item, "event": event, "time": round(time.time(), 3), **more}
-        os.write(self._descriptor, json.dumps(entry).encode() + b"\n")
+        try:
+            os.write(self._descriptor, json.dumps(entry).encode() + b"\n")
+        except OSError as error:
+            raise TsoError(
+                f"{self.path}: cannot be written ({reason(error)}), so the batch has ended; the "
+                "same command goes on"
+            ) from None
 
 
 @contextmanager

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 from ..errors import InputError, TsoError
 from ..io.output import reason
-from ..signals import at_interrupt
+from ..signals import at_interrupt, press_ctrl_c
 from ..workers import Ended, each
-from .journal import RETURNED, STARTED, TRIED_AGAIN, Journal, Past
+from .journal import RETURNED, STARTED, Journal, Past
 
 # Results of earlier runs are checked in tasks of about so long.
 CHECKING_SECONDS = 1.0
+# After Ctrl-C or SIGTERM the items at work have this many seconds. SLURM waits for 30.
+PATIENCE = 20.0
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an item: "skipped", or how it ended (`journal.ENDS`)."""
+    """How an item ended (`journal.ENDS`)."""
 
     event: str
     key: str | None = None
@@ -48,20 +51,25 @@ class Outcome:
 
 @dataclass
 class Summary:
-    """What a run did."""
+    """What became of the items, in this run or before it.
+
+    skipped : how many ended in earlier runs. seconds : of the items of this run. ended : the items
+    that are doubtful or worse.
+    """
 
     total: int
     counts: Counter[str] = field(default_factory=Counter)
-    seconds: float = 0.0  # of the items
+    skipped: int = 0
+    seconds: float = 0.0
     reasons: Counter[str] = field(default_factory=Counter)
-    ended: list[tuple[str, Outcome]] = field(default_factory=list)  # doubtful and worse
+    ended: list[tuple[str, Outcome]] = field(default_factory=list)
     quarantined: list[str] = field(default_factory=list)
     interrupted: bool = False
 
     def add(self, item: str, outcome: Outcome) -> None:
         self.counts[outcome.event] += 1
         self.seconds += outcome.seconds
-        if outcome.event not in ("done", "skipped"):
+        if outcome.event != "done":
             self.reasons[outcome.reason] += 1
             self.ended.append((item, outcome))
 
@@ -76,19 +84,22 @@ OnEnd = Callable[[str, Outcome, Summary], None]
 def tasks_of(
     items: Sequence[tuple[str, tuple[str, ...]]],
     past: dict[str, Past],
-    refusal: Callable[[str, bool], str],
+    refusal: Callable[[str, tuple[str, ...]], str],
+    strict: bool = False,
 ) -> list[Task]:
     """The tasks of items (name, arguments).
 
-    ``refusal`` says why an item must not begin, or ""; it is given whether an earlier run began it.
+    ``refusal`` says why an item that no run has begun must not begin, or "". ``strict`` : whether
+    doubtful results are to be left unwritten.
     """
     tasks = []
     for item, arguments in items:
         one = past.get(item, Past())
         written = bool(one.end.get("output"))
+        changed = one.end.get("event") == "doubtful" and written == strict
         # A process that died may have written its result before.
-        known = written or one.starts > 0 or one.end.get("event") in TRIED_AGAIN
-        tasks.append(Task(item, arguments, one.key, written, refusal(item, known)))
+        why = "" if one.begun else refusal(item, arguments)
+        tasks.append(Task(item, arguments, None if changed else one.key, written, why))
     return tasks
 
 
@@ -107,22 +118,26 @@ def run(
 
     ``unchanged`` says of a task with a key whether its result and its inputs are as they were; it
     is then left out. Items that earlier runs began twice and never ended are done last and alone.
-    Ctrl-C lets the items at work end; a second Ctrl-C is a KeyboardInterrupt.
+    Ctrl-C lets the items at work end, for `PATIENCE` seconds; a second Ctrl-C, or the end of that
+    time, is a KeyboardInterrupt.
     """
     summary = Summary(len(tasks))
     suspicious = {task.item for task in tasks if past.get(task.item, Past()).suspicious}
     summary.quarantined = sorted(suspicious)
     came = threading.Event()
     stopping = came.is_set
-    with at_interrupt(came.set, once=True):
+    with _at_interrupt(came):
         ended_before = [task for task in tasks if task.key]
         settings: dict[str, Any] = dict(stopping=stopping, task_seconds=CHECKING_SECONDS)
         left_out = set()
         for checked in each(executor, unchanged, ended_before, window, **settings):
             if checked.result:
-                left_out.add(checked.job.item)
-                summary.counts["skipped"] += 1
-                on_end(checked.job.item, Outcome("skipped"), summary)
+                item = checked.job.item
+                left_out.add(item)
+                outcome = _earlier(past[item].end)
+                summary.skipped += 1
+                summary.add(item, outcome)
+                on_end(item, outcome, summary)
         left = [task for task in tasks if task.item not in left_out]
         for task in left:
             if task.refusal:
@@ -147,6 +162,23 @@ def run(
     return summary
 
 
+@contextmanager
+def _at_interrupt(came: threading.Event) -> Iterator[None]:
+    """Ctrl-C sets ``came``; a timer presses it again."""
+    again = threading.Timer(PATIENCE, press_ctrl_c)
+    again.daemon = True
+
+    def act() -> None:
+        came.set()
+        again.start()
+
+    try:
+        with at_interrupt(act, once=True):
+            yield
+    finally:
+        again.cancel()
+
+
 def _end(item: str, outcome: Outcome, journal: Journal, summary: Summary, on_end: OnEnd) -> None:
     line = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
     if outcome.reason:
@@ -154,6 +186,13 @@ def _end(item: str, outcome: Outcome, journal: Journal, summary: Summary, on_end
     journal.add(item, outcome.event, **line)
     summary.add(item, outcome)
     on_end(item, outcome, summary)
+
+
+def _earlier(end: dict[str, Any]) -> Outcome:
+    """How an item ended in an earlier run, as its line in the journal says."""
+    known = ("item", "event", "time", "key", "seconds", "reason")
+    values = {name: value for name, value in end.items() if name not in known}
+    return Outcome(end["event"], end["key"], 0.0, str(end.get("reason", "")), values)
 
 
 def _outcome_of(ended: Ended[Task]) -> Outcome:

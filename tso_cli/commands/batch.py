@@ -34,7 +34,12 @@ class Shard(click.ParamType):
 @flag("--strict", "Write no doubtful results.")
 @options.overwrite
 @flag("--report", "Also write OUT/index.html, a table of all items with pictures.")
-@option("--jobs", "Processes.  [default: one for each core]", "-j", type=options.Whole(1))
+@option(
+    "--jobs",
+    "Processes.  [default: one for each core, or OMP_NUM_THREADS]",
+    "-j",
+    type=options.Whole(1),
+)
 @option(
     "--shard", "Do only the I-th of N parts of the items, as one of N machines.", type=Shard(),
     metavar="I/N",

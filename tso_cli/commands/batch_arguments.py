@@ -15,7 +15,7 @@ from ..io.clouds import output_suffix
 from ..io.reading import plain, shown
 from .batch_item import context_of, refine_command
 from .options import FilePath
-from .refine_record import OF_RUN, WRITTEN, in_folder, parameter_of
+from .refine_record import OF_RUN, WRITTEN, in_folder, parameter_of, record_of
 
 # Options that a batch sets itself for each item.
 SET_BY_BATCH = (*OF_RUN, "strict", "config")
@@ -47,6 +47,13 @@ def arguments_of(
         places[name] = item.place
         named.append((name, (*more, *arguments)))
     return named
+
+
+def written_by(output: Path, arguments: Sequence[str]) -> list[Path]:
+    """The files that an item with this result writes."""
+    flags = ["--" + name.replace("_", "-") for name in WRITTEN]
+    more = [Path(arguments[place + 1]) for place, word in enumerate(arguments) if word in flags]
+    return [output, record_of(output), *more]
 
 
 def _arguments(item: Item, folder: Path, output: Path) -> tuple[str, list[str], tuple[str, ...]]:

@@ -21,16 +21,17 @@ from ..kernels.dispatch import decided
 from . import options
 from .refine import command as refine_command
 from .refine_files import RefineInputs
-from .refine_record import digest_of, key_of
+from .refine_record import digest_of, key_of, record_of
 from .refine_run import RefineRun
 
 # Errors of a disk or network that may be over after a moment, and the seconds to wait before each
-# attempt.
+# attempt; and those of a disk that needs somebody's hand.
 PASSING = (
     errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY, errno.ECONNRESET,
     errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EREMOTEIO, errno.ENFILE,
 )  # fmt: skip
 PAUSES = (0.0, 0.5, 2.0)
+OF_THE_DISK = (*PASSING, errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 def context_of(arguments: Sequence[str]) -> click.Context:
@@ -57,8 +58,9 @@ def unchanged(task: Task) -> bool:
     """Whether the inputs and settings of an item have the key of its last end."""
     ctx = context_of(task.arguments)
     if task.written:
-        there = exists(task.item) if is_remote(task.item) else ctx.params["output"].is_file()
-        if not there:
+        output = ctx.params["output"]
+        there = exists(task.item) if is_remote(task.item) else output.is_file()
+        if not there or not (is_remote(task.item) or record_of(output).is_file()):
             return False
     return _key(task, ctx) == task.key
 
@@ -76,10 +78,10 @@ def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
             break
         except (TsoError, OSError, click.ClickException) as error:
             text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-            outcome = Outcome("failed", reason=text)
-            if not _may_pass(error):
-                if isinstance(error, (InputError, click.ClickException)):
-                    outcome = Outcome("refused", _key_if_read(task), reason=text)
+            unusable = isinstance(error, (InputError, click.ClickException))
+            refused = unusable and not _caused_by(error, OF_THE_DISK)
+            outcome = Outcome("refused" if refused else "failed", reason=text)
+            if not _caused_by(error, PASSING):
                 break
     return replace(outcome, seconds=time.perf_counter() - begun)
 
@@ -130,18 +132,10 @@ def _of_files(
     return Outcome("doubtful" if doubtful else "done", key, 0.0, why, values)
 
 
-def _key_if_read(task: Task) -> str | None:
-    """The key of an item that was refused; None if its files cannot be read."""
-    try:
-        return _key(task, context_of(task.arguments))
-    except (TsoError, OSError, click.ClickException):
-        return None
-
-
-def _may_pass(error: BaseException | None) -> bool:
-    """Whether a passing error of the system caused ``error``."""
+def _caused_by(error: BaseException | None, numbers: Sequence[int]) -> bool:
+    """Whether an error of the system with one of the ``numbers`` caused ``error``."""
     while error is not None:
-        if isinstance(error, OSError) and error.errno in PASSING:
+        if isinstance(error, OSError) and error.errno in numbers:
             return True
         error = error.__cause__ or error.__context__
     return False

@@ -11,14 +11,15 @@ from typing import Any
 import click
 
 from ..batch.engines import engine
-from ..batch.journal import NAME, Journal, open_journal, read_journal
+from ..batch.journal import ENDS, Journal, Past, journals_of, open_journal, read_journals
 from ..batch.manifest import read_manifest, shard_of
 from ..batch.remote import exists, is_remote
 from ..batch.run import Outcome, Summary, run, tasks_of
-from ..errors import InputError
+from ..errors import InputError, Interrupted
+from ..io.output import check_output, sole_writer
 from ..workers import cores
 from . import options
-from .batch_arguments import arguments_of
+from .batch_arguments import arguments_of, written_by
 from .batch_item import refine_item, unchanged
 from .batch_page import INDEX, write_index
 
@@ -56,24 +57,36 @@ class BatchRun:
         try:
             self.output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            found = f"is no folder ({error.strerror}), expected one"
+            found = f"cannot be made ({error.strerror}), expected a folder to write to"
             raise InputError(f"{self.output}: {found}") from None
-        part = f"{self.shard[0]}-of-{self.shard[1]}." if self.shard else ""
-        with open_journal(self.output / f"{part}{NAME}") as journal:
-            summary = self._run(items, journal)
+        own, others = journals_of(self.output, self.shard)
+        self._check_index(own, others)
+        try:
+            with open_journal(own) as journal:
+                for other in others:
+                    with sole_writer(other):  # a run with other parts may have the same items
+                        pass
+                summary = self._run(items, journal, read_journals([own, *others]))
+        except KeyboardInterrupt:
+            raise Interrupted("interrupted; the same command goes on") from None
         if self.report:
             write_index(self.output)
         seconds = time.perf_counter() - begun
         if self.as_json:
             options.echo_json(_document(summary, seconds))
         elif not self.quiet:
-            _print(summary, journal.path, seconds)
+            _print(summary, own, seconds)
             if self.report:
                 click.echo(f"{self.output / INDEX}: a page of all items")
         if summary.interrupted:
             return INTERRUPTED
-        all_done = summary.total == summary.counts["done"] + summary.counts["skipped"]
-        return 0 if all_done else NOT_ALL_DONE
+        return 0 if summary.total == summary.counts["done"] else NOT_ALL_DONE
+
+    def _check_index(self, own: Path, others: list[Path]) -> None:
+        """Refuse to replace a page that no batch has written."""
+        of_batch = own.exists() or others
+        if self.report and not of_batch:
+            check_output(self.output / INDEX, self.overwrite)
 
     def _items(self) -> list[tuple[str, tuple[str, ...]]]:
         """The name and the arguments of each item."""
@@ -82,33 +95,27 @@ class BatchRun:
         items = arguments_of(read_manifest(self.manifest), folder, self.output, more)
         return items if self.shard is None else shard_of(items, self.shard)
 
-    def _run(self, items: list[tuple[str, tuple[str, ...]]], journal: Journal) -> Summary:
-        past = read_journal(journal.path)
-
-        def refusal(item: str, known: bool) -> str:
-            place = item if is_remote(item) else self.output / item
-            there = exists(item) if is_remote(item) else (self.output / item).exists()
-            if self.overwrite or known or not there:
-                return ""
-            return f"{place}: exists already, expected a new name or --overwrite"
-
-        tasks = tasks_of(items, past, refusal)
-        compiled = _compiled(self.quiet)
+    def _run(
+        self,
+        items: list[tuple[str, tuple[str, ...]]],
+        journal: Journal,
+        past: dict[str, Past],
+    ) -> Summary:
+        tasks = tasks_of(items, past, self._refusal, self.strict)
         bar = options.ProgressBar("tso: refining", delay=0.0)
-        begun = time.perf_counter()
+        processes = min(self.jobs or cores(), max(1, len(tasks)))
+        with engine(self.engine, processes, self.scheduler) as used:
+            compiled, begun = _compiled(self.quiet), time.perf_counter()
 
-        def on_end(item: str, outcome: Outcome, summary: Summary) -> None:
-            worse = summary.done - summary.counts["done"] - summary.counts["skipped"]
-            pace = summary.done / max(time.perf_counter() - begun, 1e-9)
-            if not self.quiet:
-                bar(summary.done, summary.total, f"items, {pace:.1f}/s, {worse} not done")
+            def on_end(item: str, outcome: Outcome, summary: Summary) -> None:
+                new = summary.done - summary.skipped
+                pace = new / max(time.perf_counter() - begun, 1e-9)
+                note = f"items, {pace:.1f}/s, {len(summary.ended)} doubtful or worse"
+                if not self.quiet:
+                    bar(summary.done, summary.total, note)
 
-        work = partial(
-            refine_item, compiled=compiled, pictures=self.output if self.report else None
-        )
-        with engine(
-            self.engine, min(self.jobs or cores(), max(1, len(tasks))), self.scheduler
-        ) as used:
+            pictures = self.output if self.report else None
+            work = partial(refine_item, compiled=compiled, pictures=pictures)
             try:
                 return run(
                     tasks, past, work, unchanged, used.executor, used.window, journal, on_end,
@@ -116,6 +123,16 @@ class BatchRun:
                 )  # fmt: skip
             finally:
                 bar.close()
+
+    def _refusal(self, item: str, arguments: tuple[str, ...]) -> str:
+        """Why an item that no run has begun must not begin."""
+        if self.overwrite:
+            return ""
+        if is_remote(item):
+            there = [item] if exists(item) else []
+        else:
+            there = [str(one) for one in written_by(self.output / item, arguments) if one.exists()]
+        return f"{there[0]}: exists already, expected a new name or --overwrite" if there else ""
 
 
 def _compiled(quiet: bool) -> bool:
@@ -135,36 +152,53 @@ def _compiled(quiet: bool) -> bool:
 def _document(summary: Summary, seconds: float) -> dict[str, Any]:
     return {
         "items": summary.total,
-        **{event: summary.counts[event] for event in ("skipped", "done", "doubtful", "refused",
-                                                      "failed")},
+        **{event: summary.counts[event] for event in ENDS},
+        "skipped": summary.skipped,
         "seconds": seconds,
         "quarantined": summary.quarantined,
         "not_done": [
             {"item": item, "event": outcome.event, "reason": outcome.reason}
-            for item, outcome in summary.ended
+            for item, outcome in _worst_first(summary)
         ],
-    }  # fmt: skip
+    }
+
+
+def _worst_first(summary: Summary) -> list[tuple[str, Outcome]]:
+    """What failed, what was refused, then what is doubtful, the least confident first."""
+
+    def badness(one: tuple[str, Outcome]) -> tuple[int, float, str]:
+        confidence = one[1].values.get("confidence")
+        return -ENDS.index(one[1].event), 1.0 if confidence is None else confidence, one[0]
+
+    return sorted(summary.ended, key=badness)
 
 
 def _print(summary: Summary, journal: Path, seconds: float) -> None:
     counts = [f"{number:,} {event}" for event, number in summary.counts.most_common()]
-    pace = (summary.done - summary.counts["skipped"]) / seconds
-    click.echo(
-        f"{summary.done:,} of {summary.total:,} items: {', '.join(counts) or 'nothing'}; "
-        f"{seconds:.1f} s, {pace:.1f} items/s"
-    )
+    new = summary.done - summary.skipped
+    click.echo(f"{summary.done:,} of {summary.total:,} items: {', '.join(counts) or 'nothing'}")
+    before = f"; {summary.skipped:,} ended in earlier runs" if summary.skipped else ""
+    click.echo(f"  {new:,} in {seconds:.1f} s, {new / seconds:.1f} items/s{before}")
     if summary.quarantined:
-        click.echo(f"  ended the batch twice, so done last and alone: "
+        click.echo(f"  at work when a batch ended twice, so done last and alone: "
                    f"{_listed(summary.quarantined)}")  # fmt: skip
-    doubtful = [one for one in summary.ended if one[1].values.get("confidence") is not None]
-    doubtful.sort(key=lambda one: one[1].values["confidence"])
-    for item, outcome in doubtful[:MOST_LISTED]:
-        click.echo(f"  {outcome.event}  {item}: confidence {outcome.values['confidence']:.2f}")
+    worst = _worst_first(summary)
+    for item, outcome in worst[:MOST_LISTED]:
+        click.echo(f"  {outcome.event:<9}{item}: {_why(outcome)}")
+    if len(worst) > MOST_LISTED:
+        click.echo(f"  and {len(worst) - MOST_LISTED:,} more that are not done")
     for reason, number in summary.reasons.most_common(MOST_LISTED):
-        click.echo(f"  {number:,} x {reason}")
+        if number > 1:
+            click.echo(f"  {number:,} times: {reason}")
     if summary.interrupted:
         click.echo("  interrupted; the same command goes on")
     click.echo(f"journal: {journal}")
+
+
+def _why(outcome: Outcome) -> str:
+    confidence = outcome.values.get("confidence")
+    shown = f"confidence {confidence:.2f}; " if confidence is not None else ""
+    return f"{shown}{outcome.reason}"
 
 
 def _listed(names: list[str]) -> str:

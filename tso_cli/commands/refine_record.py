@@ -20,10 +20,15 @@ from . import options
 SCHEMA = 1
 """Version of the form of records."""
 LARGEST_CONFIG = 16 << 20  # bytes
-# Options that say where results go, or what is printed: they do not change a result.
+# Options that say where results go, whether, or what is printed: they do not change a result.
 WRITTEN = ("overlay", "report", "rerun", "write_camera")
 OF_RUN = ("record", "overwrite", "check", "quiet", "verbose", "as_json")
-OF_OUTPUT = ("output", *WRITTEN, *OF_RUN)
+OF_OUTPUT = ("output", "strict", *WRITTEN, *OF_RUN)
+
+
+def record_of(output: Path) -> Path:
+    """Where the record of a result is."""
+    return output.with_name(f"{output.stem}.record.json")
 
 
 def digest_of(path: Path) -> str:

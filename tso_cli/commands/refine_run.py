@@ -18,6 +18,7 @@ from ..refinement import RefineConfig, RefineResult, refine
 from . import options
 from .refine_check import check_scene
 from .refine_files import RefineInputs, RefineOutputs
+from .refine_record import record_of
 from .refine_report import RefineReport
 from .sentences import Words
 
@@ -53,7 +54,7 @@ class RefineRun:
         source = self._inputs.source
         suffix = output_suffix(source) if self._inputs.mode == "points" else ".ply"
         output = chosen["output"] or Path(f"{source.stem}.refined{suffix}")
-        record = output.with_name(f"{output.stem}.record.json") if chosen["record"] else None
+        record = record_of(output) if chosen["record"] else None
         named = {**chosen, "output": output, "own_suffix": suffix, "record": record}
         self._outputs = options.pick(RefineOutputs, named)
         self._refine_camera = chosen["refine_camera"]
