@@ -453,11 +453,6 @@ BAD = {
         "image.png mask.png --depth mask.png --mode latent",
         "--depth points best latent",
     ),
-    "photo of a cloud without colours": (
-        "",
-        "POINTS --image image.png",
-        "initial.ply no colours red green blue",
-    ),
     "photo, preset paper": (
         "",
         "POINTS --image image.png --preset paper",

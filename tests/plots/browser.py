@@ -103,8 +103,8 @@ class Browser:
         if method == "Network.requestWillBeSent":
             self.requests.append(parameters["request"]["url"])
 
-    def open(self, page: Path, width: int, height: int = 900) -> None:
-        """Show a page in a window of this size, until its first picture is drawn."""
+    def open(self, page: Path, width: int, height: int = 900, ready: bool = True) -> None:
+        """Show a page in a window of this size; if ``ready``, until its first picture is drawn."""
         self.errors.clear()
         self.requests.clear()
         self._call(
@@ -117,7 +117,7 @@ class Browser:
             answer = self._read()
             self._notice(answer.get("method"), answer.get("params", {}))
         end = time.monotonic() + PATIENCE
-        while self.run("document.documentElement.dataset.ready") != "yes":
+        while ready and self.run("document.documentElement.dataset.ready") != "yes":
             assert time.monotonic() < end, ("not ready", self.errors)
             time.sleep(0.05)
 

@@ -38,6 +38,7 @@ from tso_cli.scene.photos import photos_of
 from .browser import CHROMIUM, Browser
 
 CHAIR = EXAMPLES / "chair"
+STAGE = (32, 38, 45)  # the colour behind what is drawn
 LARGEST = 6_000_000  # bytes
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium")
 
@@ -50,6 +51,11 @@ def solid(page):
     """The data of the three-dimensional view."""
     found = re.search(r'<script type="application/json" id="solid">(.*?)</script>', page, re.DOTALL)
     return json.loads(found[1])
+
+
+def visible_answers(page):
+    """The sentences above the three-dimensional view."""
+    return page.partition("<section class=answers>")[2].partition("</section>")[0]
 
 
 def without_library(page):
@@ -134,6 +140,24 @@ def test_without_a_trusted_result_strict_writes_no_page(folder, refine):
     assert run.code == 3
     assert not Path("page.html").exists()
     assert not list(folder.glob("*refined*"))
+
+
+def test_what_the_confidence_is_the_page_says_once(folder, refine):
+    more = ("--camera", "camera.json", "--overwrite", "--report")
+    refine("initial.ply", "mask.png", "--steps", "12", *more, "sure.html")
+    refine("initial.ply", "mask.png", "--steps", "2", "--preset", "paper", *more, "none.html")
+    sure, none = (visible_answers(Path(name).read_text()) for name in ("sure.html", "none.html"))
+    assert sure.count("Chamfer distance") == 1
+    assert "<b>Confidence</b>" not in none
+    assert "There is no confidence for this kind of run." in none
+
+
+def test_a_mesh_whose_vertices_move_farther_than_its_control_points_has_both_numbers(pages):
+    page = pages["mesh"].read_text()
+    largest = f"{100 * solid(page)['largest']:.1f}\xa0%"
+    assert page.count(f"the vertices below move by {largest} at most.") == 1
+    assert f"<span>{largest}</span></span></div>".replace("\xa0", " ") in page
+    assert "below move by" not in pages["cloud"].read_text()
 
 
 # Numbers and outlines
@@ -253,6 +277,53 @@ def test_a_grey_mask_and_an_image_of_labels_are_no_photos(folder):
         assert photos_of(scene, files) == [None]
 
 
+@pytest.mark.parametrize("size", [256, 512])
+def test_the_photo_of_a_cloud_without_colours_is_shown_and_guides_nothing(folder, refine, size):
+    Image.fromarray(photo_of(size)).save("photo.png")
+    arguments = ("initial.ply", "mask.png", "--camera", "camera.json", "--steps", "4")
+    shown = ("--image", "photo.png", "--report", "page.html", "--overlay", "photo-o.png")
+    run = refine(*arguments, *shown, "-o", "photo.ply")
+    assert run.err.splitlines() == [
+        "tso: warning: the cloud has no colours: the photo is shown, and does not guide the result"
+    ]
+    page = Path("page.html").read_text()
+    assert 'id="photo"' in page
+    assert "does not guide the result" in visible_answers(page)
+    refine(*arguments, "--overlay", "plain-o.png", "-o", "plain.ply")
+    assert Path("photo.ply").read_bytes() == Path("plain.ply").read_bytes()
+    assert Path("photo-o.png").read_bytes() != Path("plain-o.png").read_bytes()
+
+
+def test_the_photo_of_a_cloud_without_colours_has_the_proportions_of_its_mask(folder, refine):
+    Image.fromarray(photo_of(256)[:128]).save("flat.png")
+    arguments = ("--camera", "camera.json", "--image", "flat.png", "--steps", "0")
+    refusal = refine("initial.ply", "mask.png", *arguments).refusal
+    assert "flat.png: is 256x128, the mask mask.png is 256x256" in refusal
+
+
+def test_a_photo_that_is_only_shown_is_mirrored_with_a_left_handed_cloud(folder):
+    Image.fromarray(photo_of(512)).save("photo.png")
+    files = ViewFiles([Path("mask.png")], Path("camera.json"), image=[Path("photo.png")])
+    shown = []
+    for assumed in ((), ("cloud-xy-swapped",)):
+        with pytest.warns(UserWarning, match="the photo is shown"):
+            scene = load_points_scene(Path("initial.ply"), files, assumed)
+        shown += photos_of(scene, files)
+    np.testing.assert_array_equal(shown[1], shown[0][:, ::-1])
+
+
+def test_the_picture_that_the_camera_file_names_is_shown(folder):
+    Image.fromarray(photo_of(256)).save("photo.png")
+    camera = json.loads(Path("camera.json").read_text())
+    Path("named.json").write_text(json.dumps(camera | {"image": "photo.png"}))
+    files = ViewFiles([Path("mask.png")], Path("named.json"))
+    scene = load_points_scene(Path("initial.ply"), files)
+    (photo,) = photos_of(scene, files)
+    np.testing.assert_array_equal(photo, photo_of(256))
+    Path("photo.png").unlink()
+    assert photos_of(scene, files) == [None]
+
+
 def test_the_photo_of_a_network_mode_is_the_part_that_the_network_sees(folder, refine):
     checkpoint = save_untrained(Path("net.safetensors"))
     network = ("--mode", "encoder", "--checkpoint", checkpoint, "--steps", "1")
@@ -299,7 +370,7 @@ def pages(tmp_path_factory):
 
 def share_of_colour(picture):
     """The share of pixels of the stage that something is drawn on."""
-    return (np.abs(picture.astype(int) - (32, 38, 45)).max(2) > 12).mean()
+    return (np.abs(picture.astype(int) - STAGE).max(2) > 12).mean()
 
 
 def differs(first, second):
@@ -320,6 +391,35 @@ def test_a_page_opens_without_errors_requests_or_a_horizontal_scroll(browser, pa
 
 
 @needs_chromium
+@pytest.mark.parametrize("kind", ["cloud", "mesh"])
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_first_view_shows_a_large_object_and_the_cameras_come_when_asked_for(
+    browser, pages, kind, width
+):
+    browser.open(pages[kind], width)
+    canvas = browser.picture("#canvas")
+    drawn = np.abs(canvas.astype(int) - STAGE).max(2) > 12
+    drawn[-85:, :310] = False  # the colour scale
+    drawn = drawn[8:-8, 8:-8]  # without the round corners
+    rows, columns = (np.flatnonzero(drawn.any(axis)) for axis in (1, 0))
+    taken = max(np.ptp(rows), np.ptp(columns)) / min(canvas.shape[:2])
+    assert 0.58 < taken < 0.75
+    labels = "[...document.querySelectorAll('.tag')].map(label => label.hidden)"
+    assert set(browser.run(labels)) == {True}
+    browser.run("document.querySelector('#show-cameras').click()")
+    assert set(browser.run(labels)) == {False}
+
+
+@needs_chromium
+def test_in_a_narrow_window_the_cells_of_a_row_are_below_each_other(browser, pages):
+    browser.open(pages["mesh"], 390)
+    cut_off = "[...document.querySelectorAll('.scroll')].map(e => e.scrollWidth - e.clientWidth)"
+    assert max(browser.run(cut_off)) <= 0
+    widths = "[...document.querySelectorAll('.stacked td')].map(cell => cell.clientWidth)"
+    assert min(browser.run(widths)) > 280
+
+
+@needs_chromium
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cloud", "mesh"])
 def test_the_toggles_change_the_picture_and_reset_brings_it_back(browser, pages, kind):
@@ -330,18 +430,18 @@ def test_the_toggles_change_the_picture_and_reset_brings_it_back(browser, pages,
         browser.run(f"document.querySelector('{selector}').click()")
         return browser.picture("#canvas")
 
-    assert differs(first, empty := after("#show-result")) > 0.002
-    assert differs(empty, after("#show-start")) > 0.002
+    assert differs(first, start := after("#show-result")) > 0.002
+    assert differs(start, empty := after("#show-start")) > 0.002
+    assert share_of_colour(empty) < share_of_colour(start)
     after("#show-result")
     assert differs(first, after("#show-start")) == 0.0
     assert differs(first, after("input[value=plain]")) > 0.002
     if kind == "mesh":
         assert differs(first, after("input[value=own]")) > 0.002
     after("input[value=moved]")
-    seen_from_far = after("#far")
+    seen_from_far = after("#show-cameras")
     assert differs(first, seen_from_far) > 0.002
     assert differs(seen_from_far, after("#show-cameras")) > 0.0005
-    after("#show-cameras")
     through = after(".look")
     assert differs(first, through) > 0.05
     assert differs(through, after("#backdrop")) > 0.05
@@ -369,6 +469,7 @@ def test_a_drag_and_the_arrow_keys_rotate(browser, pages):
 def test_what_a_camera_sees_lies_on_its_picture(browser, pages):
     """Through the camera, the mesh covers its mask as the IoU says."""
     browser.open(pages["mesh"], 1200)
+    browser.run("document.querySelector('#show-start').click()")
     for number in (0, 1):
         browser.run(f"document.querySelectorAll('.look')[{number}].click()")
         browser.run("document.querySelector('input[value=plain]').click()")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -11,6 +13,10 @@ from ..io.output import write_file
 from ..plots.index_page import COLUMNS, index_page
 
 INDEX, PICTURES = "index.html", "pictures"
+NO_PICTURES = (
+    "There are no pictures: a picture is made when an item is refined with --report. Run the batch "
+    "with --report in a new folder."
+)
 
 
 def picture_of(output: Path, item: str) -> Path:
@@ -20,16 +26,36 @@ def picture_of(output: Path, item: str) -> Path:
 
 def write_index(output: Path) -> Path:
     """Write the page of all items of all journals in ``output``, each with its last end."""
-    rows: dict[str, dict[str, Any]] = {}
+    ends: dict[str, dict[str, Any]] = {}
     for journal in sorted(output.glob(f"*{NAME}")):
         for entry in entries(journal):
-            if entry["event"] in ENDS:
-                rows[entry["item"]] = {key: entry.get(key) for key in COLUMNS}
-    for item, row in rows.items():
-        if picture_of(output, item).is_file():
-            row["picture"] = quote(f"{PICTURES}/{item}.png")
-        if (output / item).is_file():
-            row["href"] = quote(item)
+            known = ends.get(entry["item"])
+            # An item may have ended in several journals, of other shards.
+            if entry["event"] in ENDS and (known is None or entry["time"] >= known["time"]):
+                ends[entry["item"]] = entry
     path = output / INDEX
-    write_file(path, index_page(list(rows.values())).encode(), overwrite=True)
+    rows = [_row(output, entry) for entry in ends.values()]
+    write_file(path, index_page(rows, NO_PICTURES).encode(), overwrite=True)
     return path
+
+
+def _row(output: Path, entry: dict[str, Any]) -> dict[str, Any]:
+    """What the page shows of an item's end, with its picture and a link to its page or file."""
+    item = entry["item"]
+    row = {key: entry.get(key) for key in COLUMNS}
+    if picture_of(output, item).is_file():
+        row["picture"] = quote(f"{PICTURES}/{item}.png")
+    if (output / item).is_file():
+        row["href"] = quote(_page_of(output, item) or item)
+    return row
+
+
+def _page_of(output: Path, item: str) -> str | None:
+    """The page of an item, relative to the folder; None unless its record names one."""
+    record = (output / item).with_suffix(".record.json")
+    try:
+        page = json.loads(record.read_bytes())["options"]["report"]
+        path = os.path.normpath(Path(item).parent / page)
+        return Path(path).as_posix() if (output / path).is_file() else None
+    except (OSError, ValueError, KeyError, TypeError):  # no record, or not one of tso's
+        return None

@@ -177,7 +177,8 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     "--image",
     type=PATH,
     multiple=True,
-    help="Photo of the mask, for a photometric loss on a cloud with colours.",
+    help="Photo of the mask, for a photometric loss on a cloud with colours. For other clouds, "
+    "--report, --overlay and --rerun only show it.",
 )
 @options.output(
     "Refined cloud.  [default: SOURCESTEM.refined.ply, or .glb, .gltf or .obj as the input, in the "

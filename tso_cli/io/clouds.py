@@ -66,15 +66,9 @@ class PointCloud:
     triangles: Indices | None = field(default=None, repr=False)  # of a mesh without ``source``
     rgb: Array | None = field(default=None, repr=False)  # colours [N, 3] without ``source``
 
-    def colours(self) -> Array:
-        """Red, green and blue [N, 3] of the points, in [0, 1]; InputError if there are none."""
-        colours = self.source.read_colours() if self.source else self.rgb
-        if colours is None:
-            raise InputError(
-                f"{self.path}: its points have no colours, "
-                "expected a PLY file with red, green and blue"
-            )
-        return colours
+    def colours(self) -> Array | None:
+        """Red, green and blue [N, 3] of the points, in [0, 1]; None if there are none."""
+        return self.source.read_colours() if self.source else self.rgb
 
     def faint(self) -> Bits | None:
         """[N], splats of an opacity under 5 %; None if the file has no splats."""

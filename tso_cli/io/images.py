@@ -84,6 +84,16 @@ def read_image(path: str | Path, upright: bool = True) -> Pixels:
     return decoded(data, path, "an image", _colours, upright)
 
 
+def resized(image: Pixels, width: int, height: int) -> Pixels:
+    """A picture [H, W, C] of another size; the same one if it has that size."""
+    from PIL import Image
+
+    if image.shape[:2] == (height, width):
+        return image
+    how = Image.Resampling.LANCZOS
+    return np.asarray(Image.fromarray(np.ascontiguousarray(image)).resize((width, height), how))
+
+
 def orientation(path: Path) -> int:
     """The EXIF orientation of a picture, 1 for an upright one and for other files."""
     return _of_header(path, lambda image: int(image.getexif().get(_ORIENTATION, 1)), 1)

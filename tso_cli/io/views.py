@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,12 +19,13 @@ from ..geometry.view import View
 from .cameras import (
     PartialCamera,
     find_camera,
+    named_images,
     paired,
     read_partial_cameras,
     same_shape,
     words_of,
 )
-from .images import orientation, read_depth, read_image
+from .images import orientation, read_depth, read_image, resized
 from .masks import MaskChoice, read_mask
 
 NO_FILE = "(no camera file was given or found next to the mask)"
@@ -38,6 +40,7 @@ class ViewFiles:
     camera_format : its format; None finds out. object_id : the object of a data set with several.
     intrinsics : a camera file whose K is used in place of that of ``camera``.
     choice : which object of a mask file is meant.
+    any_size : images may be larger or smaller than their masks, and are resized.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
     """
 
@@ -51,6 +54,7 @@ class ViewFiles:
     depth_scale: float = 1.0
     image: Sequence[Path] = ()
     choice: MaskChoice = MaskChoice()
+    any_size: bool = False
 
     def one_each(self, name: str, plural: str, files: Sequence[Path]) -> Sequence[Path | None]:
         """The file of each mask, None where there are no files; InputError for another number."""
@@ -149,6 +153,13 @@ def view_without_camera(files: ViewFiles) -> View:
     view = replace(view, camera=known.camera(files.intrinsics, width, height))
     lens = known.distortion
     return view if lens is None or lens.none else _without_distortion(view, lens)
+
+
+def named_photos(files: ViewFiles) -> list[Path]:
+    """The pictures that the camera files name for the masks; none if one of them is a mask."""
+    photos = named_images(_cameras(files)[0])
+    of_masks = {os.path.realpath(mask) for mask in files.masks}
+    return [] if any(os.path.realpath(photo) in of_masks for photo in photos) else photos
 
 
 def _cameras(files: ViewFiles) -> tuple[list[PartialCamera | None], list[CameraOrigin]]:
@@ -281,12 +292,24 @@ def with_depth_and_images(
             view = replace(view, depth=depth)
             notes += more
         if image_file is not None:
-            image, more = _raster(image_file, partial(read_image, image_file), of_mask, as_stored)
-            require_same_size(image_file, image.shape, view.name, shape)
-            view = replace(view, image=image[..., :3] / np.float32(255.0))
+            view, more = _with_image(view, image_file, files.any_size, as_stored)
             notes += more
         completed.append((view, notes))
     return completed
+
+
+def _with_image(view: View, file: Path, any_size: bool, stored: bool) -> tuple[View, list[str]]:
+    """The view with its photo, and what was done to it; ``any_size`` as in `ViewFiles`."""
+    height, width = view.mask.shape
+
+    def of_mask(size: tuple[int, int]) -> bool:
+        return size == (width, height) or (any_size and same_shape(size, (width, height)))
+
+    image, notes = _raster(file, partial(read_image, file), of_mask, stored)
+    if of_mask((image.shape[1], image.shape[0])):
+        image = resized(image, width, height)
+    require_same_size(file, image.shape, view.name, view.mask.shape)
+    return replace(view, image=image[..., :3] / np.float32(255.0)), notes
 
 
 def _without_distortion(view: View, lens: Distortion) -> View:

@@ -12,14 +12,20 @@ from .page.write import as_json, text
 
 COLUMNS = {
     "item": "item",
-    "event": "what became of it",
+    "event": "result",
     "confidence": "confidence",
     "iou_before": "IoU before",
     "iou_after": "IoU after",
     "seconds": "seconds",
     "reason": "why",
 }
+NUMBERS = ("confidence", "iou_before", "iou_after", "seconds")
+WORST_FIRST = ("failed", "refused", "doubtful", "done")
 ROWS = 200  # that are drawn at once
+SHOWN = (
+    "The pictures show mask and silhouette, before and after: what both have is grey, what is "
+    "missing blue, what is extra orange."
+)
 _STYLE = """
 :root{color-scheme:light dark}
 body{font:15px/1.4 system-ui,sans-serif;margin:1.5rem auto;max-width:75rem;padding:0 1rem}
@@ -29,10 +35,11 @@ th button{font:inherit;font-weight:600;border:0;background:none;padding:0;cursor
 color:inherit;text-align:left}
 th[aria-sort] button::after{content:" \\25BC"}
 th[aria-sort=ascending] button::after{content:" \\25B2"}
-td.number{text-align:right;font-variant-numeric:tabular-nums}
+th button{white-space:nowrap}
+.number,.number button{text-align:right;font-variant-numeric:tabular-nums}
 td img{display:block;background:#fff;max-width:196px}
 td.name,td.why{overflow-wrap:anywhere}td.name{min-width:11rem}
-.bar{display:flex;gap:.75rem;flex-wrap:wrap;margin:1rem 0}
+.bar{display:flex;gap:.75rem;flex-wrap:wrap;align-items:center;margin:1rem 0}
 input,select,.bar button{font:inherit;padding:.25rem .5rem}
 @media(max-width:45rem){thead{display:none}tr{display:block;border-bottom:1px solid #8886;
 padding:.5rem 0}td:empty{display:none!important}
@@ -45,16 +52,18 @@ const data = JSON.parse(document.getElementById("rows").textContent);
 const columns = data.columns, body = document.querySelector("tbody");
 const search = document.getElementById("search"), only = document.getElementById("only");
 const more = document.getElementById("more"), count = document.getElementById("count");
-let by = "confidence", up = true, shown = data.rowsAtOnce;
-const numbers = new Set(["confidence", "iou_before", "iou_after", "seconds"]);
+let by = "event", up = true, shown = data.rowsAtOnce;
+const numbers = new Set(data.numbers);
+const none = v => v === null || v === undefined || v === "";
 
-function order(a, b) {
-  const x = a[by], y = b[by], none = v => v === null || v === undefined || v === "";
+function compared(a, b, key, way) {
+  const x = a[key], y = b[key];
   if (none(x) || none(y)) return none(x) - none(y);
-  const less = numbers.has(by) ? x - y : String(x).localeCompare(String(y), undefined,
-    {numeric: true});
-  return up ? less : -less;
+  if (numbers.has(key)) return way * (x - y);
+  if (key === "event") return way * (data.worstFirst.indexOf(x) - data.worstFirst.indexOf(y));
+  return way * String(x).localeCompare(String(y), undefined, {numeric: true});
 }
+const order = (a, b) => compared(a, b, by, up ? 1 : -1) || compared(a, b, "confidence", 1);
 
 function draw() {
   const words = search.value.toLowerCase();
@@ -62,7 +71,7 @@ function draw() {
     && (!words || (row.item + " " + (row.reason || "")).toLowerCase().includes(words)));
   rows.sort(order);
   body.replaceChildren(...rows.slice(0, shown).map(row => {
-    const line = document.createElement("tr"), picture = line.insertCell();
+    const line = document.createElement("tr"), picture = data.pictures ? line.insertCell() : null;
     if (row.picture) {
       const image = document.createElement("img");
       image.loading = "lazy"; image.width = 196; image.height = 96;
@@ -103,15 +112,29 @@ draw();
 """
 
 
-def index_page(rows: Sequence[dict[str, Any]]) -> str:
-    """The page of items; each row has the keys of `COLUMNS`, and perhaps picture and href."""
+def index_page(rows: Sequence[dict[str, Any]], no_pictures: str) -> str:
+    """The page of items; each row has the keys of `COLUMNS`, and perhaps picture and href.
+
+    ``no_pictures`` : what to say where no row has a picture.
+    """
     counts = Counter(str(row["event"]) for row in rows)
     heads = "".join(
-        f'<th data-key="{key}"><button>{text(name)}</button></th>' for key, name in COLUMNS.items()
+        f'<th data-key="{key}"{" class=number" if key in NUMBERS else ""}>'
+        f"<button>{text(name)}</button></th>"
+        for key, name in COLUMNS.items()
     )
     choices = "".join(f"<option>{text(event)}</option>" for event in sorted(counts))
     summary = ", ".join(f"{number:,} {text(event)}" for event, number in counts.most_common())
-    data = {"columns": COLUMNS, "rows": list(rows), "rowsAtOnce": ROWS}
+    pictures = any("picture" in row for row in rows)
+    head = f"<tr>{'<th>picture</th>' if pictures else ''}{heads}</tr>"
+    data = {
+        "columns": COLUMNS,
+        "numbers": NUMBERS,
+        "rows": list(rows),
+        "rowsAtOnce": ROWS,
+        "worstFirst": WORST_FIRST,
+        "pictures": pictures,
+    }
     digest = base64.b64encode(hashlib.sha256(_SCRIPT.encode()).digest()).decode("ascii")
     policy = (
         f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
@@ -122,13 +145,11 @@ def index_page(rows: Sequence[dict[str, Any]]) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{len(rows):,} items: tso batch</title>\n<style>{_STYLE}</style></head>\n<body>\n"
-        f"<h1>{len(rows):,} items</h1>\n<p>{summary}. The pictures show mask and silhouette, "
-        "before and after: what both have is grey, what is missing blue, what is extra orange."
-        "</p>\n"
+        f"<h1>{len(rows):,} items</h1>\n<p>{summary}. {SHOWN if pictures else no_pictures}</p>\n"
         '<div class="bar"><input id="search" type="search" placeholder="search" '
         'aria-label="search items"><select id="only" aria-label="show only">'
         f'<option value="">all</option>{choices}</select><span id="count"></span></div>\n'
-        f"<table><thead><tr><th>picture</th>{heads}</tr></thead><tbody></tbody></table>\n"
+        f"<table><thead>{head}</thead><tbody></tbody></table>\n"
         '<p><button id="more">more</button></p>\n'
         f'<script type="application/json" id="rows">{as_json(data)}</script>\n'
         f"<script>{_SCRIPT}</script>\n</body></html>\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from ..network.model import BaseNetwork
 
 Placing = Literal["silhouette", "box", "camera"]
+ONLY_SHOWN = "the cloud has no colours: the photo is shown, and does not guide the result"
 MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 
 
@@ -34,6 +36,7 @@ class Scene:
     frame : of the output: "input" (the frame of the cloud), "view", "canonical" or "world";
         ``to_output`` maps points to it.
     file : in points mode, what the file holds.
+    shown : in points mode the views with their images, if these do not guide the result.
     network, image, sigma_sq, photo : in the network modes the network, its input [3, 64, 64], the
         variance of its training, and the photo's part that the network sees [H, W, 3].
     """
@@ -43,6 +46,7 @@ class Scene:
     camera_summary: str
     frame: str
     file: PointCloud | None = None
+    shown: tuple[View, ...] = ()
     network: BaseNetwork | None = None
     image: Floats | None = None
     sigma_sq: float | None = None
@@ -71,8 +75,8 @@ def load_points_scene(
     """The scene of points mode: a cloud, or a mesh whose surface is refined, and its views.
 
     ``files`` may be a single mask. ``assume`` names hypotheses that are taken as true. ``fit``
-    estimates the camera of the one mask from mask and cloud (`fit_camera`). Errors as
-    `load_views` and `read_cloud`.
+    estimates the camera of the one mask from mask and cloud (`fit_camera`). The images of a cloud
+    without colours are only shown, with a warning. Errors as `load_views` and `read_cloud`.
     """
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
     assumptions = assumptions_of(assume, list(map(str, files.masks)))
@@ -81,6 +85,21 @@ def load_points_scene(
         file.source.require_movable()
     colours = file.colours() if files.image else None
     cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), faint=file.faint())
+    if not files.image or colours is not None:
+        return _scene_of(cloud, file, files, assumptions, fit)
+    warnings.warn(ONLY_SHOWN, stacklevel=2)
+    scene = _scene_of(cloud, file, replace(files, any_size=True), assumptions, fit)
+    without = tuple(replace(view, image=None) for view in scene.given.read)
+    return replace(scene, given=replace(scene.given, read=without), shown=scene.views)
+
+
+def _scene_of(
+    cloud: Cloud,
+    file: PointCloud,
+    files: ViewFiles,
+    assumptions: tuple[Assumption, ...],
+    fit: bool,
+) -> Scene:
     if fit:
         return _with_fitted_camera(cloud, file, files, assumptions)
     read, origins = load_views(files)

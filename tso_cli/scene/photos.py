@@ -13,9 +13,10 @@ import numpy as np
 from ..diagnosis.hypotheses import as_meant, mask_changes
 from ..errors import InputError
 from ..geometry.arrays import Box, Pixels
+from ..geometry.view import View
 from ..io.images import FORMATS, WITH_ALPHA
 from ..io.masks import MOST_VALUES
-from ..io.views import ViewFiles, load_views, view_without_camera
+from ..io.views import ViewFiles, load_views, named_photos, view_without_camera
 
 if TYPE_CHECKING:
     from .load import Scene
@@ -30,35 +31,55 @@ LEAST_CHROMA = 12
 def photos_of(scene: Scene, files: ViewFiles, fit: bool = False) -> list[Pixels | None]:
     """For each view the picture [H, W, 3] of its whole image, of any resolution; None for none.
 
-    That is the photo of the network modes, else the image of the view, else the file of its mask if
-    that is a photo with an alpha channel or in colours. ``fit`` : as in `load_points_scene`.
+    That is the photo of the network modes, else the image of the view, else the picture that the
+    camera file names, else the file of its mask if that is a photo with an alpha channel or in
+    colours. ``fit`` : as in `load_points_scene`.
     """
     if scene.photo is not None:
         return [scene.photo]
-    if any(view.image is not None for view in scene.views):
-        return [None if view.image is None else _as_pixels(view.image) for view in scene.views]
+    views = scene.shown or scene.views
+    if any(view.image is not None for view in views):
+        return [None if view.image is None else _as_pixels(view.image) for view in views]
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of the masks, which are read for the second time
+            return _named(scene, files, fit) or _of_masks(scene, files, fit)
+    except InputError:
+        return [None] * len(scene.views)
+
+
+def _named(scene: Scene, files: ViewFiles, fit: bool) -> list[Pixels | None]:
+    """The pictures that the camera file names; none where it does not."""
+    named = [] if fit else named_photos(files)
+    if not named:
+        return []
+    views, _ = load_views(replace(files, image=named, depth=(), any_size=True))
+    return [_meant(view, scene) for view in views]
+
+
+def _of_masks(scene: Scene, files: ViewFiles, fit: bool) -> list[Pixels | None]:
+    """The files of the masks, where they are photos."""
     if not all(map(_may_be_photo, files.masks)):
         return [None] * len(scene.views)
     # Read as an image of the view, the file is turned and undistorted as its mask was.
     pictured = replace(files, image=files.masks, depth=())
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the masks, which are read for the second time
-            views = [view_without_camera(pictured)] if fit else load_views(pictured)[0]
-    except InputError:
-        return [None] * len(scene.views)
     photos: list[Pixels | None] = []
-    for view in views:
+    for view in [view_without_camera(pictured)] if fit else load_views(pictured)[0]:
         changes = mask_changes(view, scene.given.assumptions)
         image = view.image
         assert image is not None
         image = image[:, ::-1] if "left-right" in changes else image
         image = image[::-1] if "upside-down" in changes else image
-        meant = as_meant(replace(view, image=image), scene.given.assumptions).image
-        assert meant is not None
-        pixels = _as_pixels(meant)
+        pixels = _meant(replace(view, image=image), scene)
         photos.append(pixels if _is_photo(pixels, _has_alpha(view.name)) else None)
     return photos
+
+
+def _meant(view: View, scene: Scene) -> Pixels:
+    """The image of a view, as the scene's assumptions mean it."""
+    image = as_meant(view, scene.given.assumptions).image
+    assert image is not None
+    return _as_pixels(image)
 
 
 def cut_out(photo: Pixels, box: Box) -> Pixels:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
@@ -134,6 +135,16 @@ def named_masks(
             )
         masks.append(mask)
     return masks
+
+
+def named_images(views: Sequence[PartialCamera | None]) -> list[Path]:
+    """The pictures that the views name; none unless each view names one that exists."""
+    found = [
+        next(filter(is_there, _files_of(view.image)), None) if view and view.image else None
+        for view in views
+    ]
+    images = [image for image in found if image is not None]
+    return images if len(images) == len(found) else []
 
 
 def _with_alpha(image: Path | None) -> Path | None:

@@ -115,13 +115,21 @@
 
   const attribute = (values, size) => new THREE.Float32BufferAttribute(values, size);
 
+  // The start does not hide the result.
+  function seenThrough(material, opacity) {
+    material.transparent = opacity < 1;
+    material.opacity = opacity;
+    material.depthWrite = opacity === 1;
+  }
+
   function pointStage(positions, name) {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", attribute(positions, 3));
-    const size = Math.max(1.6, Math.min(6, 190 / Math.sqrt(solid.count)));
+    const size = Math.max(1.6, Math.min(8, 230 / Math.sqrt(solid.count)));
     const material = new THREE.PointsMaterial({
       size: size * renderer.getPixelRatio(), sizeAttenuation: false, map: disc(), alphaTest: 0.5,
     });
+    const whole = material.size;
     const colours = {
       moved: attribute(rampColours(moved, solid.largest), 3),
       own: solid.colours ? attribute(ofBytes(solid.colours), 3) : null,
@@ -136,7 +144,10 @@
         material.color = chosen ? new THREE.Color(0xffffff) : named(`--${name}`);
         material.needsUpdate = true;
       },
-      clear() {},
+      clear(through) {
+        material.size = (through ? 0.6 : 1) * whole;
+        seenThrough(material, through ? 0.8 : 1);
+      },
     };
   }
 
@@ -188,13 +199,8 @@
         plain.needsUpdate = true;
         mesh.material = mode === "own" ? pictured : solid.groups.map(() => plain);
       },
-      // Two surfaces in one place: the start is seen through.
       clear(through) {
-        for (const material of [plain, ...pictured]) {
-          material.transparent = through;
-          material.opacity = through ? 0.4 : 1;
-          material.depthWrite = !through;
-        }
+        for (const material of [plain, ...pictured]) seenThrough(material, through ? 0.4 : 1);
       },
     };
   }
@@ -227,6 +233,7 @@
   const placeOf = (camera) => toWorld(camera, perspective(camera) ? [0, 0, 0] : [camera.t[0], camera.t[1], camera.t[2] - 2]);
 
   const frustums = new THREE.Group();
+  const corners = []; // of their lines
   const labels = solid.cameras.map((camera, number) => {
     const far = perspective(camera) ? Math.min(0.2 * camera.t[2], 0.3) : camera.t[2] - 1.2;
     const near = perspective(camera) ? 0 : camera.t[2] - 2;
@@ -242,6 +249,7 @@
     const below = ends[2].clone().add(ends[3]).multiplyScalar(0.5);
     const roof = middle.clone().add(middle.clone().sub(below).multiplyScalar(0.25));
     lines.push(ends[0].clone().lerp(middle, 0.5), roof, roof, ends[1].clone().lerp(middle, 0.5));
+    for (const point of lines) corners.push(...point);
     const geometry = new THREE.BufferGeometry().setFromPoints(lines);
     frustums.add(new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color: 0xc8d2db, fog: false })));
     const label = document.createElement("span");
@@ -287,9 +295,28 @@
   const controls = new THREE.OrbitControls(eye, canvas);
   controls.enablePan = false;
 
+  // How far the eye must be, in its direction, so that ``points`` (three numbers each) are within
+  // these tangents of the angles to the middle.
+  function distanceFor(points, wide, high) {
+    const away = eye.position.clone().normalize();
+    const right = new THREE.Vector3().crossVectors(upright, away).normalize();
+    const above = new THREE.Vector3().crossVectors(away, right);
+    const point = new THREE.Vector3();
+    let distance = 0;
+    for (let i = 0; i < points.length; i += 3) {
+      point.fromArray(points, i);
+      const across = Math.max(Math.abs(point.dot(right)) / wide, Math.abs(point.dot(above)) / high);
+      distance = Math.max(distance, point.dot(away) + across);
+    }
+    return distance;
+  }
+  const aspect = () => canvas.clientWidth / Math.max(1, canvas.clientHeight);
+  const tangent = Math.tan((eye.fov * Math.PI) / 360);
+
+  // The object takes this share of the smaller side.
   function usual() {
-    const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight);
-    return 0.95 / Math.tan((eye.fov * Math.PI) / 360) / Math.min(1, aspect * 1.1);
+    const most = 0.7 * tangent * Math.min(1, aspect());
+    return distanceFor(result, most, most);
   }
 
   function leave() {
@@ -303,18 +330,21 @@
 
   function reset() {
     through = null;
+    byId("show-cameras").checked = false; // they are seldom in view
     const away = placeOf(solid.cameras[0]);
     if (away.length() < 1e-6) away.set(0.3, 0.2, 1);
-    eye.position.copy(away.applyAxisAngle(upright, 0.35).normalize().multiplyScalar(usual()));
+    eye.position.copy(away.applyAxisAngle(upright, 0.5));
+    eye.position.normalize().multiplyScalar(usual());
     controls.target.set(0, 0, 0);
     controls.update();
     state();
   }
 
+  // Move back until all cameras are in view.
   function seeCameras() {
     leave();
-    const farthest = Math.max(...labels.map(({ place }) => place.length()));
-    eye.position.normalize().applyAxisAngle(upright, 0.5).multiplyScalar(Math.max(usual(), 3 * farthest));
+    const distance = Math.max(eye.position.length(), distanceFor(corners, 0.9 * tangent * aspect(), 0.9 * tangent));
+    eye.position.normalize().multiplyScalar(distance);
     controls.update();
     state();
   }
@@ -330,9 +360,8 @@
   }
 
   function project() {
-    const aspect = canvas.clientWidth / Math.max(1, canvas.clientHeight);
     const distance = eye.position.length();
-    eye.aspect = aspect;
+    eye.aspect = aspect();
     eye.near = Math.max(distance - 40, distance * 0.01, 0.002);
     eye.far = 2 * distance + 12 + Math.min(60, Math.max(...solid.cameras.map(distanceOf)));
     eye.updateProjectionMatrix();
@@ -341,8 +370,8 @@
     let [left, top, right, bottom] = solid.backdrops[through] || camera.window;
     const [width, height] = [right - left, bottom - top];
     // The box in the middle of the canvas, whatever the shape of the canvas.
-    const wider = Math.max(0, height * aspect - width) / 2;
-    const higher = Math.max(0, width / aspect - height) / 2;
+    const wider = Math.max(0, height * eye.aspect - width) / 2;
+    const higher = Math.max(0, width / eye.aspect - height) / 2;
     [left, right, top, bottom] = [left - wider, right + wider, top - higher, bottom + higher];
     const K = camera.K;
     const near = perspective(camera) ? eye.near : 1;
@@ -391,6 +420,7 @@
     Promise.all(images).then(() => { document.documentElement.dataset.ready = "yes"; });
   }
 
+  const swatch = byId("show-result").nextElementSibling;
   function state() {
     const both = byId("show-start").checked && byId("show-result").checked;
     const mode = document.querySelector("input[name=colour]:checked").value;
@@ -399,6 +429,8 @@
     stages.start.colour(mode === "own" ? "own" : "plain");
     stages.result.colour(mode);
     stages.start.clear(both);
+    swatch.style.background = mode === "moved" ? "var(--ramp)" : "";
+    swatch.hidden = mode === "own";
     byId("scale").hidden = mode !== "moved" || !byId("show-result").checked;
     for (const button of document.querySelectorAll(".look")) {
       button.setAttribute("aria-pressed", String(through !== null && numberOf(button) === through));
@@ -413,7 +445,7 @@
     button.addEventListener("click", () => (numberOf(button) === through ? reset() : look(numberOf(button))));
   }
   for (const input of document.querySelectorAll(".solid-section input")) input.addEventListener("change", state);
-  byId("far").addEventListener("click", seeCameras);
+  byId("show-cameras").addEventListener("change", (event) => { if (event.target.checked) seeCameras(); });
   byId("reset").addEventListener("click", reset);
   controls.addEventListener("start", leave);
   controls.addEventListener("change", draw);

@@ -73,7 +73,7 @@ def write_page(
     document = words.document
     body = "".join([
         _header(words),
-        _answers(document, words),
+        _answers(document, words, solid),
         _solid_section(solid, pictures),
         _views_section(document, pictures),
         _details(document, words),
@@ -135,7 +135,7 @@ def _header(words: PageWords) -> str:
     )
 
 
-def _answers(document: dict[str, Any], words: PageWords) -> str:
+def _answers(document: dict[str, Any], words: PageWords, solid: dict[str, Any]) -> str:
     verdict = document["verdict"] or "no confidence"
     kind = (document["verdict"] or "none").replace(" ", "-")
     better = f'<p><span class="badge {kind}">{text(verdict)}</span></p><p>{text(words.verdict)}</p>'
@@ -143,7 +143,7 @@ def _answers(document: dict[str, Any], words: PageWords) -> str:
     much = (
         f"<div class=bars>{_bar('start', before)}{_bar('result', after)}</div>"
         f"<p><b>IoU</b> {text(words.lines['IoU'])}.</p>"
-        f"<p><b>Moved</b> {text(words.lines['moved'])}.</p>"
+        f"<p><b>Moved</b> {text(words.lines['moved'])}.{_drawn(document, solid)}</p>"
     )
     return (
         "<section class=answers>"
@@ -153,6 +153,15 @@ def _answers(document: dict[str, Any], words: PageWords) -> str:
         f"<article><h2>What did it assume?</h2>{_assumed(words)}</article>"
         "</section>"
     )
+
+
+def _drawn(document: dict[str, Any], solid: dict[str, Any]) -> str:
+    """Why the colour scale has another largest displacement than the line "moved"."""
+    largest = f"{100.0 * solid['largest']:.1f} %"
+    if largest == f"{100.0 * document['moved_max']:.1f} %":
+        return ""
+    kind = "vertices" if solid["kind"] == "mesh" else "points"
+    return text(f" That is of the control points; the {kind} below move by {largest} at most.")
 
 
 def _bar(name: str, share: float | None) -> str:
@@ -168,13 +177,13 @@ def _trust(document: dict[str, Any], words: PageWords) -> str:
     parts = []
     confidence = document["confidence"]
     if confidence is not None:
+        # What harm is, the verdict says.
+        meaning = "probability that the whole displacement does not harm the cloud"
         shown = f"{confidence:.4f}"[:4]
         parts.append(
             f'<p class=number>{shown}</p><meter min=0 max=1 low=0.5 value="{confidence:.4f}" '
-            f'aria-label="confidence {shown}"></meter>'
+            f'aria-label="confidence {shown}"></meter><p><b>Confidence</b>: {meaning}.</p>'
         )
-    meaning = document["convention"]["confidence"].split(";")[0]
-    parts.append(f"<p><b>Confidence</b>: {text(meaning)}.</p>")
     if words.reason and not any(words.reason in one for one in words.warnings):
         parts.append(f"<p><b>Reason</b>: {text(words.reason)}.</p>")
     if words.warnings:
@@ -241,11 +250,10 @@ def _solid_section(solid: dict[str, Any], pictures: Sequence[dict[str, Any]]) ->
         "<section class=solid-section><h2>In three dimensions</h2><div class=solid>"
         "<div class=controls>"
         f"<fieldset><legend>Show</legend>{_check('show-result', 'result', True, 'result')}"
-        f"{_check('show-start', 'start', False, 'start')}"
-        f"{_check('show-cameras', 'cameras', True)}</fieldset>"
+        f"{_check('show-start', 'start', True, 'start')}"
+        f"{_check('show-cameras', 'cameras', False)}</fieldset>"
         f"<fieldset><legend>Colour of the result</legend>{radios}</fieldset>"
         f"<fieldset><legend>Look</legend>{looks}{backdrop}"
-        "<button type=button id=far>See the cameras</button>"
         "<button type=button id=reset>Reset</button></fieldset></div>"
         '<div class=stage><canvas id=canvas tabindex=0 role=img aria-label="'
         f"{what} before and after, which can be turned. Arrow keys rotate, plus and minus zoom, 0 "
@@ -326,12 +334,20 @@ def _card(view: dict[str, Any], picture: dict[str, Any], several: bool) -> str:
     )
 
 
-def _table(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+def _table(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """A table. In a narrow window the cells of more than two columns are below each other."""
     head = "".join(f"<th scope=col>{text(one)}</th>" for one in header)
     lines = "".join(
-        "<tr>" + "".join(f"<td>{text(cell)}</td>" for cell in row) + "</tr>" for row in rows
+        "<tr>"
+        + "".join(
+            f'<td data-name="{text(name)}">{text(cell)}</td>'
+            for name, cell in zip(header, row, strict=True)
+        )
+        + "</tr>"
+        for row in rows
     )
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>"
+    kind = " class=stacked" if len(header) > 2 else ""
+    table = f"<table{kind}><thead><tr>{head}</tr></thead><tbody>{lines}</tbody></table>"
     return f"<div class=scroll>{table}</div>"
 
 
