@@ -122,6 +122,23 @@ def test_a_missing_extra_is_one_line_with_its_command(plain, tmp_path, line, cod
     assert "Traceback" not in done.stderr
 
 
+def test_a_public_name_that_needs_an_extra_says_so_and_no_other_needs_one(plain):
+    script = """
+import tso_cli
+for name in tso_cli.__all__:
+    try:
+        getattr(tso_cli, name)
+    except ImportError as error:
+        print(type(error).__name__, error.name, error)
+"""
+    done = plain("-c", script)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == (
+        "ModuleNotFoundError torch MaskLoss needs torch, which is not installed: "
+        "pip install 'tso-cli[network]'\n"
+    )
+
+
 def test_rendering_without_open3d_names_its_extra(plain):
     done = plain("-m", "tso_cli", "render", examples_folder() / "meshes/car", "-o", "out")
     assert done.returncode == 1

@@ -114,7 +114,14 @@ def __getattr__(name: str) -> Any:
     if name in _WHERE:
         from importlib import import_module
 
-        module = import_module(f".{_WHERE[name]}", __name__)
+        try:
+            module = import_module(f".{_WHERE[name]}", __name__)
+        except ImportError as error:
+            from .errors import missing_extra
+
+            if (message := missing_extra(error, f"{name} needs")) is None:
+                raise
+            raise type(error)(message, name=error.name) from None
         value = getattr(module, name)
         globals()[name] = value
         return value

@@ -221,7 +221,7 @@ def test_a_record_repeats_its_run_wherever_it_is_read(folder, tso, monkeypatch):
     assert tso(*first, "-o", "in/first.ply").code == 0
     record = json.loads(Path("in/first.record.json").read_text())
     assert record["schema"] == 1
-    assert set(record["inputs"]) == {"initial.ply", "mask.png", "camera.json"}
+    assert set(record["inputs"]) == {"../initial.ply", "../mask.png", "../camera.json"}
     assert record["options"]["masks"] == ["../mask.png"]
     assert record["command"].startswith("tso refine initial.ply mask.png --preset paper --steps 3")
     before = Path("in/first.ply").read_bytes()

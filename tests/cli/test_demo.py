@@ -1,5 +1,7 @@
 """`tso demo`: the shipped chair in an empty folder."""
 
+import pytest
+
 from tso_cli.io.shipped import examples_folder
 
 
@@ -19,6 +21,19 @@ def test_the_chair_is_refined_judged_and_drawn_in_an_empty_folder(tso, tmp_path,
     )
     assert shown.out.splitlines()[-2:] == ["picture: demo/chair.png", "page: demo/chair.html"]
     assert "tso refine" in (tmp_path / "demo/chair.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("f", "f: is a file, expected the name of a folder to write to"),
+        ("f/g", "f/g: cannot be made (Not a directory), expected the name of a folder to write to"),
+    ],
+)
+def test_a_file_in_place_of_the_folder_is_refused(tso, tmp_path, monkeypatch, name, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "f").touch()
+    assert tso("demo", "-o", name).refusal == f"tso: error: {message}"
 
 
 def test_a_second_demo_replaces_the_first(tso, tmp_path):

@@ -291,6 +291,21 @@ def test_loops_that_cannot_be_kept_are_an_error_of_tso_compile(tso, monkeypatch)
     assert run.err.startswith("tso: error: full: holds 3 of 13 compiled loops, expected all; ")
 
 
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("file", "Not a directory"), ("file/below", "Not a directory")],
+)
+def test_a_folder_for_loops_that_the_user_named_and_that_cannot_be_written_is_an_error(
+    tmp_path, name, why
+):
+    (tmp_path / "file").touch()
+    folder = tmp_path / name
+    run = started("compile", environment={"NUMBA_CACHE_DIR": str(folder)})
+    message = rf"{folder}: NUMBA_CACHE_DIR names it, but it cannot be written \({why}\); set .*"
+    assert re.fullmatch(f"tso: error: {message}\n", run.communicate()[1])
+    assert run.returncode == 1
+
+
 REFINE_MUCH = (
     "import numpy as np\nfrom tso_cli.refinement import RefineConfig, refine, refine_batch\n"
     "mask = np.zeros((64, 64))\nmask[20:44, 20:44] = 1\n"

@@ -4,8 +4,9 @@ import os
 import signal
 import sys
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -86,12 +87,34 @@ def test_a_scene_that_is_no_pair_is_an_error_of_its_own():
     for number, (error, scene) in enumerate(zip(bad, shown, strict=True), 1):
         assert isinstance(error, InputError)
         assert str(error) == f"scene {number} is {scene}, expected (points, views)"
-    for scenes, config, words in (
-        (None, None, "scenes is None, expected a sequence"),
-        ([], RefineConfig("latent"), "for a batch"),
-    ):
-        assert_refused(words, refine_batch, scenes, config)
     assert refine_batch([]) == []
+
+
+@pytest.mark.parametrize("function", [refine_batch, refine_each])
+@pytest.mark.parametrize(
+    ("scenes", "settings", "message"),
+    [
+        (None, {}, "^scenes is None, expected a sequence"),
+        (3, {}, "^scenes is 3, expected a sequence"),
+        ([], {"config": RefineConfig("latent")}, "for a batch"),
+        ([], {"config": {"steps": 3}}, "^config is {'steps': 3}, expected a RefineConfig"),
+        ([], {"executor": 3}, "^executor is 3, expected one of concurrent.futures"),
+        ([], {"executor": 0}, "^executor is 0, expected one of concurrent.futures"),
+    ],
+    ids=str,
+)
+def test_an_argument_of_another_kind_is_refused_when_it_is_given(
+    function, scenes, settings, message
+):
+    assert_refused(message, function, scenes, **settings)
+
+
+def test_a_window_or_progress_of_another_kind_is_refused():
+    for window in (0, -1, "two"):
+        assert_refused(
+            "^window is .*, expected a whole number from 1", refine_each, [], window=window
+        )
+    assert_refused("^progress is 3, expected a function", refine_batch, [], progress=3)
 
 
 def test_progress_counts_clouds_and_reports_the_mean_loss_of_results(monkeypatch):
@@ -133,7 +156,7 @@ class _NotYet:
 
 @pytest.mark.parametrize("how", ["Ctrl-C", "an exception of the caller's progress"])
 def test_after_an_interrupt_clouds_have_their_best_iterate_or_none(monkeypatch, how):
-    """In one process: the first cloud is done, the second is about to begin, the rest waits."""
+    """In the caller's process: one cloud is done, the next is about to begin, the rest waits."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
 
     def interrupt(done, clouds, loss):
@@ -143,10 +166,10 @@ def test_after_an_interrupt_clouds_have_their_best_iterate_or_none(monkeypatch, 
             raise KeyboardInterrupt
 
     config = RefineConfig(steps=300, symmetry="none")
-    first, *waiting = refine_batch([(POINTS, VIEW)] * 400, config, progress=interrupt)
+    first, *waiting = refine_batch([(POINTS, VIEW)] * 15, config, progress=interrupt)
     assert first.fit.stop_reason == "max_steps"
     assert all(isinstance(one, Interrupted) for one in waiting)
-    assert str(waiting[-1]) == "scene 399: interrupted before it began"
+    assert str(waiting[-1]) == "scene 14: interrupted before it began"
 
 
 def test_a_cloud_that_is_interrupted_while_it_is_read_has_not_begun(monkeypatch):
@@ -190,12 +213,10 @@ class _Killed:
         return np.array(POINTS, dtype)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="kills by signals")
-def test_a_scene_that_kills_its_process_is_an_error_of_its_own(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    monkeypatch.setattr(batch, "SCENES_TO_START", 1)
-    scenes = [(POINTS, VIEW)] * 3 + [(_Killed(os.getpid()), VIEW)] + [(POINTS, VIEW)] * 3
-    results = refine_batch(scenes, RefineConfig(steps=3))
+kills = pytest.mark.skipif(sys.platform != "linux", reason="kills by signals")
+
+
+def _assert_only_scene_3_was_killed(results):
     poison = results.pop(3)
     assert isinstance(poison, TsoError)
     assert str(poison) == (
@@ -203,6 +224,32 @@ def test_a_scene_that_kills_its_process_is_an_error_of_its_own(monkeypatch):
     )
     for result in results:
         _assert_same(result, results[0])
+
+
+@kills
+@pytest.mark.parametrize("processes", ["1", "2"])
+@pytest.mark.parametrize("known", [True, False], ids=["a list", "a generator"])
+def test_a_scene_that_kills_its_process_is_an_error_of_its_own(monkeypatch, processes, known):
+    monkeypatch.setenv("OMP_NUM_THREADS", processes)
+    # A generator may make any number of scenes; of a list, this many are worth a process.
+    scenes = [(POINTS, VIEW)] * (16 if known else 5)
+    scenes[3] = (_Killed(os.getpid()), VIEW)
+    config = RefineConfig(steps=3)
+    found = refine_batch(scenes, config) if known else dict(refine_each(iter(scenes), config))
+    _assert_only_scene_3_was_killed([found[number] for number in range(len(scenes))])
+
+
+@kills
+def test_a_scene_that_breaks_the_executor_of_the_caller_loses_no_other():
+    scenes = [(POINTS, VIEW)] * 12
+    scenes[3] = (_Killed(os.getpid()), VIEW)
+    with (
+        ProcessPoolExecutor(2, get_context("fork")) as executor,
+        pytest.warns(UserWarning, match="executor broke, so processes of tso refine") as caught,
+    ):
+        results = refine_batch(scenes, RefineConfig(steps=3), executor=executor)
+    assert len(caught) == 1
+    _assert_only_scene_3_was_killed(results)
 
 
 class _OutOfMemory:

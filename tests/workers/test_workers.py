@@ -7,6 +7,7 @@ import sys
 import textwrap
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -229,6 +230,44 @@ def test_an_executor_that_breaks_as_a_whole_loses_no_result_that_was_there():
     assert found[2].result == 4
     assert set(found) == {1, 2, 3, 4, 5, 6}
     assert all(isinstance(found[n].error, Exception) for n in (3, 4, 5, 6))
+
+
+def holding(folder, number):
+    """The square; number 3 kills its process once another job is at work too."""
+    (folder / str(number)).touch()
+    if number == 3:
+        while len(list(folder.iterdir())) < 2:
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number * number
+
+
+@pytest.mark.parametrize("window", [1, 4])
+def test_in_place_of_an_executor_that_broke_another_goes_on(tmp_path, window):
+    made = []
+
+    def instead():
+        made.append(WorkerPool(2))
+        return made[-1]
+
+    jobs = [2, 3, 4, 5, 6, 7, 8, 9]
+    with ProcessPoolExecutor(2, get_context("fork")) as executor:
+        work = partial(holding, tmp_path)
+        found = {one.job: one for one in each(executor, work, jobs, window, instead=instead)}
+    (pool,) = made
+    pool.shutdown()
+    assert {n: one.result for n, one in found.items()} == {
+        n: None if n == 3 else n * n for n in jobs
+    }
+    assert {n: one.deaths for n, one in found.items()} == {n: 3 if n == 3 else 0 for n in jobs}
+    assert found[3].failure.startswith("its process was killed by SIGKILL")
+
+
+def test_a_job_that_is_done_last_stays_last_if_the_executor_breaks():
+    with ProcessPoolExecutor(1, get_context("fork")) as executor, WorkerPool(1) as pool:
+        (ended,) = each(executor, unless_poison, [], 2, last=[3], instead=lambda: pool)
+    assert isinstance(ended.error, WorkerDied)
+    assert ended.deaths == 3
 
 
 def test_once_it_is_to_stop_no_job_begins():

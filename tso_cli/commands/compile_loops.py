@@ -7,6 +7,7 @@ import time
 import click
 
 from ..errors import TsoError
+from ..io.output import reason
 from . import options
 
 ANOTHER_FOLDER = "set NUMBA_CACHE_DIR to a folder that can be written"
@@ -21,11 +22,11 @@ def command() -> None:
     Longer refinements, batches of many clouds and trainings compile the loops that they need.
 
     The machine code is stored next to the package, or in the user's cache folder if the package
-    cannot be written to; the variable NUMBA_CACHE_DIR names another folder. It stays valid until
-    tso, numba or Python changes.
+    cannot be written to; the variable NUMBA_CACHE_DIR names another folder, which must be one that
+    can be written to. The code stays valid until tso, numba or Python changes.
     """
     begun = time.perf_counter()
-    from ..kernels.dispatch import importable, kept, switched_off
+    from ..kernels.dispatch import importable, kept, switched_off, unwritable
     from ..refinement.api import compile_loops
 
     if not importable("numba"):
@@ -33,6 +34,11 @@ def command() -> None:
     if switched_off():
         raise TsoError(
             "numba is switched off (NUMBA_DISABLE_JIT), expected it on; numpy does the work"
+        )
+    if fault := unwritable():
+        raise TsoError(
+            f"{fault[0]}: NUMBA_CACHE_DIR names it, but it cannot be written ({reason(fault[1])}); "
+            f"{ANOTHER_FOLDER}"
         )
     if kept()[0] is None:
         raise TsoError(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from ..io.output import make_folder
 from ..io.shipped import examples_folder
 from . import options
 
@@ -22,7 +23,7 @@ def command(output: Path) -> None:
     """
     chair = examples_folder() / "chair"
     initial, target = chair / "initial.ply", chair / "target.ply"
-    output.mkdir(parents=True, exist_ok=True)
+    make_folder(output)
     cloud, picture, page = (output / f"chair.{suffix}" for suffix in ("ply", "png", "html"))
     _run(
         "refine", initial, chair / "mask.png",

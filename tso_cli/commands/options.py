@@ -64,6 +64,12 @@ class Whole(click.types.IntParamType):
     def __init__(self, least: int | None = None, most: int | None = None) -> None:
         self.least, self.most = least, most
 
+    @property
+    def range(self) -> str:
+        """The limits in words, after "a whole number"."""
+        lower = "" if self.least is None else f" from {self.least}"
+        return lower if self.most is None else f"{lower} to {self.most}"
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         number = super().convert(value, param, ctx)
         if self.least is not None and number < self.least:

@@ -249,6 +249,10 @@ def command(
     warned = ctx.with_resource(options.Warnings(quiet)).texts
     with options.loading():
         from .refine_run import RefineRun
+    if options.CONFIG in ctx.meta:
+        from .refine_record import warn_of_changes
+
+        warn_of_changes(ctx)
     given = options.given(ctx)
     run = RefineRun(chosen, given, warned, check, strict, quiet, verbose, as_json)
     ctx.exit(run.check() if check else run.refine())

@@ -166,17 +166,18 @@ class RefineReport:
 
     def record(self, warnings: list[str], command: str) -> str:
         """The record of the run as JSON: the document, and its key, which no other run has."""
-        from .refine_record import SCHEMA, digest_of, key_of, options_of
+        from .refine_record import SCHEMA, digest_of, key_of, options_of, relative
 
         assert self.outputs.record
-        digests = {str(path): digest_of(path) for path in self.inputs.files}
+        folder = self.outputs.record.parent
+        digests = {relative(path, folder): digest_of(path) for path in self.inputs.files}
         record = {
             "schema": SCHEMA,
             "command": command,
             "key": key_of(self.given, digests.values()),
             **self.document(warnings),
             "inputs": digests,
-            "options": options_of(self.given, self.outputs.record.parent),
+            "options": options_of(self.given, folder),
         }
         return options.json_text(record) + "\n"
 

@@ -54,6 +54,17 @@ def require_output(path: Path, suffix: str, overwrite: bool) -> None:
     check_output(path, overwrite)
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder to write to, unless it is there; InputError if it cannot be."""
+    expected = "expected the name of a folder to write to"
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"{path}: is a file, {expected}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be made ({reason(error)}), {expected}") from None
+
+
 @contextmanager
 def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """Yield a temporary path in the folder of ``path``, with the same suffix.

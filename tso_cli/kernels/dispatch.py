@@ -12,12 +12,13 @@ The choice depends on the work and the disk alone, so that a run can be repeated
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
 import math
+import tempfile
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 
@@ -38,7 +39,7 @@ _earlier = [0.0]
 _plan: ContextVar[Callable[[], bool] | None] = ContextVar("plan", default=None)
 
 
-@contextmanager
+@contextlib.contextmanager
 def planned(views: int, points: int, seconds: float = math.inf) -> Iterator[None]:
     """Inside, compiled loops run if they save time over the whole of this work.
 
@@ -65,7 +66,7 @@ def planned(views: int, points: int, seconds: float = math.inf) -> Iterator[None
         _earlier[0] += saved
 
 
-@contextmanager
+@contextlib.contextmanager
 def decided(compiled: bool) -> Iterator[None]:
     """Inside, compiled loops run or do not, as ``compiled`` says."""
     token = _plan.set(lambda: compiled)
@@ -117,6 +118,25 @@ def kept() -> tuple[Path | None, int, int]:
     from .jit import folder_of_loops, loops_on_disk
 
     return folder_of_loops(), *loops_on_disk()
+
+
+def unwritable() -> tuple[Path, OSError] | None:
+    """The folder that the user names for machine code, if it cannot be written, and why.
+
+    numba then takes another folder, and says nothing.
+    """
+    from numba import config
+
+    if not (named := getattr(config, "CACHE_DIR", "")):
+        return None
+    folder = Path(named)
+    try:
+        with contextlib.suppress(FileExistsError):  # a file, which the next line is about
+            folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        return folder, error
+    return None
 
 
 def usable() -> bool:

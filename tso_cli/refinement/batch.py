@@ -16,6 +16,7 @@ import numpy as np
 from ..cloud.cloud import as_numpy
 from ..errors import InputError, Interrupted, TsoError
 from ..geometry.view import View
+from ..io.reading import shown
 from ..kernels import blas
 from ..kernels.dispatch import decided, enough_to_load, planned, use_compiled
 from ..signals import at_interrupt
@@ -27,7 +28,8 @@ from .result import RefineResult
 from .run import run
 from .scene import as_scene, as_views
 
-# A process takes as long to start as this many small scenes take to refine.
+# A process takes as long to start as this many small scenes take to refine. Fewer scenes than for
+# two processes are refined in the process of the caller.
 SCENES_TO_START = 8
 # Scenes that wait with an executor: few, as scenes are made while others are refined.
 AHEAD = 2
@@ -54,19 +56,20 @@ def refine_each(
     """Refine many scenes, and yield the number of each with its result as it ends.
 
     A scene that fails has its error in place of a result, and stops no other. If the process of a
-    scene dies, the scene is tried once more, and at last alone (`tso_cli.workers.each`).
+    scene dies, the scene is tried once more, and at last alone (`tso_cli.workers.each`). A list of
+    fewer than 16 scenes is refined in the process of the caller, which a scene can then end.
 
     Parameters
     ----------
     scenes : (points [N, 3], views) of each. They are taken a few at a time, so that a generator may
         make them.
     executor : does the work, in place of a process for each core. It must be able to pickle scenes;
-        that of dask is `client.get_executor()`.
-    window : scenes that are with the executor at once.  The default is two for each core.
+        that of dask is `client.get_executor()`. If it breaks as a whole, processes of tso go on.
+    window : scenes that are with the processes at once.  The default is two for each core.
 
-    Raises InputError if the mode is not "points".
+    Raises InputError if the mode is not "points", or if an argument is of another kind.
     """
-    yield from _each(scenes, _config_of(config), executor, window, lambda: False)
+    return _each(_iterable(scenes), _config_of(config), _checked(executor), _window(window))
 
 
 def refine_batch(
@@ -86,16 +89,16 @@ def refine_batch(
     Ctrl-C ends the batch. Clouds at work get their best so far, with the ``stop_reason``
     "interrupted". Clouds that had not begun have the error `Interrupted` in place of a result.
 
-    Raises InputError if the mode is not "points", or if ``scenes`` are none.
+    Raises InputError as `refine_each`.
     """
-    config = _config_of(config)
-    if not isinstance(scenes, Iterable):
-        raise InputError(f"scenes is {scenes!r}, expected a sequence of (points, views)")
-    scenes = list(scenes)
+    config, executor = _config_of(config), _checked(executor)
+    if progress is not None and not callable(progress):
+        raise InputError(f"progress is {shown(progress)}, expected a function")
+    scenes = list(_iterable(scenes))
     results: dict[int, RefineResult | TsoError] = {}
     losses: list[float] = []
     stop = threading.Event()
-    for number, result in _each(scenes, config, executor, None, stop.is_set, stop.set):
+    for number, result in _each(scenes, config, executor, None, stop):
         results[number] = result
         if isinstance(result, RefineResult):
             losses.append(result.fit.loss_after)
@@ -113,10 +116,42 @@ def _not_begun(number: int) -> Interrupted:
 
 
 def _config_of(config: RefineConfig | None) -> RefineConfig:
-    config = config or RefineConfig()
+    config = RefineConfig() if config is None else config
+    if not isinstance(config, RefineConfig):
+        raise InputError(f"config is {shown(config)}, expected a RefineConfig")
     if config.mode != "points":
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
     return config
+
+
+def _iterable(scenes: Iterable[Scene]) -> Iterable[Scene]:
+    if not isinstance(scenes, Iterable):
+        raise InputError(f"scenes is {shown(scenes)}, expected a sequence of (points, views)")
+    return scenes
+
+
+def _checked(executor: Executor | None) -> Executor | None:
+    if not isinstance(executor, Executor | None):
+        raise InputError(
+            f"executor is {shown(executor)}, expected one of concurrent.futures, or that of "
+            "client.get_executor() of dask"
+        )
+    return executor
+
+
+def _window(window: int | None) -> int | None:
+    if window is not None and not (isinstance(window, int) and window > 0):
+        raise InputError(f"window is {shown(window)}, expected a whole number from 1")
+    return window
+
+
+def _processes(count: int | None) -> int:
+    """How many processes refine ``count`` scenes, or an unknown number; 0 if the caller does."""
+    if count is None:
+        return cores()
+    worth = count // SCENES_TO_START
+    # One process too, if there is one core: a scene that ends its process does not end the caller.
+    return min(cores(), worth) if worth > 1 else 0
 
 
 def _each(
@@ -124,24 +159,30 @@ def _each(
     config: RefineConfig,
     executor: Executor | None,
     window: int | None,
-    stopping: Callable[[], bool],
-    stop: Callable[[], None] | None = None,
+    stop: threading.Event | None = None,
 ) -> Iterator[tuple[int, RefineResult | TsoError]]:
-    """``stop`` is called at Ctrl-C, or None if Ctrl-C is the caller's."""
-    count = len(scenes) if isinstance(scenes, Sized) else None
-    processes = cores() if count is None else min(cores(), count // SCENES_TO_START)
-    compiled = _compiled(scenes, config, executor is not None or processes > 1)
+    """``stop`` is set at Ctrl-C; None if Ctrl-C is the caller's."""
+    processes = _processes(len(scenes) if isinstance(scenes, Sized) else None)
+    compiled = _compiled(scenes, config, executor is not None or processes > 0)
     # A tensor on a GPU cannot be read in another process.
     jobs = (_Job(number, _on_cpu(one), config, compiled) for number, one in enumerate(scenes))
-    own = WorkerPool(processes) if executor is None and processes > 1 else None
-    used = executor or own or Here()
-    most = window or (AHEAD * max(processes, cores()) if executor or own else 1)
+    own = WorkerPool(processes) if executor is None and processes else None
+    most = window or (AHEAD * cores() if executor or own else 1)
+
+    def instead() -> Executor:
+        nonlocal own
+        own = WorkerPool(min(most, cores()))
+        warnings.warn("the executor broke, so processes of tso refine the rest", stacklevel=2)
+        return own
+
+    stopping = stop.is_set if stop else lambda: False
     try:
         with _passed_on(own, stop):
-            for ended in each(used, _refined, jobs, most, stopping=stopping):
+            used = executor or own or Here()
+            for ended in each(used, _refined, jobs, most, stopping=stopping, instead=instead):
                 result = _result_of(ended)
                 if stop is not None and _interrupted(result):
-                    stop()
+                    stop.set()
                 if not isinstance(result, Interrupted):
                     yield ended.job.number, result
     finally:
@@ -150,14 +191,14 @@ def _each(
 
 
 def _passed_on(
-    pool: WorkerPool | None, stop: Callable[[], None] | None
+    pool: WorkerPool | None, stop: threading.Event | None
 ) -> AbstractContextManager[None]:
     """Pass Ctrl-C on to the processes; without processes it reaches the scene at work anyway."""
     if pool is None or stop is None:
         return nullcontext()
 
     def interrupt() -> None:
-        stop()
+        stop.set()
         pool.interrupt()
 
     return at_interrupt(interrupt)

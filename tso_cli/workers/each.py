@@ -60,6 +60,7 @@ def each(
     on_return: Callable[[Job], None] = lambda job: None,
     stopping: Callable[[], bool] = lambda: False,
     task_seconds: float = 0.0,
+    instead: Callable[[], Executor] | None = None,
 ) -> Iterator[Ended[Job]]:
     """Do all ``jobs`` and yield them as they end. Nothing that one job does loses another.
 
@@ -77,13 +78,16 @@ def each(
     stopping : once it is true, no job begins; the jobs at work end.
     task_seconds : jobs are sent together so that a task takes about so long, as the tasks before
         it (`MOST_IN_A_TASK` jobs at most).
+    instead : makes the executor that goes on if this one breaks as a whole, as that of
+        `concurrent.futures` does once one of its processes dies. What was with it counts as
+        untried, because nobody knows which job did it.
     """
     source = iter(jobs)
     again: deque[_Task[Job]] = deque()
     alone = deque(_Task([job], 2) for job in last)
     at_work: dict[_Future[Any], _Task[Job]] = {}
     pace = _Pace(task_seconds)
-    exhausted = False
+    exhausted = replaced = False
 
     def start(task: _Task[Job]) -> None:
         for job in task.jobs:
@@ -94,6 +98,14 @@ def each(
             future = _Future()
             future.set_exception(error)
         at_work[future] = task
+
+    def went_with_all(error: BaseException) -> bool:
+        nonlocal executor, replaced
+        if isinstance(error, WorkerDied) or not isinstance(error, BrokenExecutor):
+            return False
+        if instead and not replaced and _is_broken(executor):
+            executor, replaced = instead(), True
+        return replaced
 
     while True:
         while len(at_work) < window and not stopping():
@@ -128,6 +140,8 @@ def each(
             except BaseException as error:
                 if not is_death(error):
                     yield from (Ended(job, None, error, task.deaths) for job in task.jobs)
+                elif went_with_all(error):
+                    (again if task.deaths < 2 else alone).append(task)
                 elif task.deaths == 2:
                     yield from (Ended(job, None, error, task.deaths + 1) for job in task.jobs)
                 else:
@@ -171,6 +185,15 @@ def _all(
 def is_death(error: BaseException | None) -> bool:
     """Whether a process died, and perhaps not because of the job that it had."""
     return isinstance(error, BrokenExecutor) or type(error).__name__ == _KILLED
+
+
+def _is_broken(executor: Executor) -> bool:
+    """Whether an executor takes no more work because it broke."""
+    try:
+        executor.submit(int).cancel()
+    except BrokenExecutor:
+        return True
+    return False
 
 
 class Here(Executor):
