@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from ..batch.remote import exists, is_remote, local, state_of
+from ..batch.remote import cameras_of, exists, is_remote, local, state_of
 from ..batch.run import Outcome, Task
 from ..errors import InputError, TsoError
 from ..io.output import atomic_output
@@ -39,10 +39,20 @@ def context_of(arguments: Sequence[str]) -> click.Context:
     return refine_command.make_context("refine", list(arguments), **options.CONTEXT)
 
 
-def _key(task: Task, ctx: click.Context) -> str:
-    """The key of an item: its settings, the contents of its files, the state of remote files."""
+def _cameras(task: Task, ctx: click.Context) -> dict[str, str]:
+    """Remote mask -> the camera file next to it, unless the item names its camera."""
+    masks = task.arguments[task.arguments.index("--") + 2 :]
+    return {} if ctx.params["camera"] else cameras_of(masks)
+
+
+def _key(task: Task, ctx: click.Context, cameras: Mapping[str, str]) -> str:
+    """The key of an item: its settings, the contents of its files, the state of remote files.
+
+    ``cameras`` are those next to its masks.
+    """
     files = options.pick(RefineInputs, ctx.params).files
-    states = [state_of(word) for word in task.arguments if is_remote(word) and word != task.item]
+    remote = [word for word in task.arguments if is_remote(word) and word != task.item]
+    states = [state_of(address) for address in (*remote, *cameras.values())]
     return key_of(
         options.given(ctx), [*states, *(digest_of(file) for file in files if not _fetched(file))]
     )
@@ -60,7 +70,7 @@ def unchanged(task: Task) -> bool:
         there = exists(task.item) if is_remote(task.item) else ctx.params["output"].is_file()
         if not there:
             return False
-    return _key(task, ctx) == task.key
+    return _key(task, ctx, _cameras(task, ctx)) == task.key
 
 
 def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
@@ -86,10 +96,17 @@ def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
 
 def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | None) -> Outcome:
     ctx = context_of(task.arguments)
-    key = _key(task, ctx)
-    with local(task.arguments, task.item if is_remote(task.item) else "") as arguments:
-        ctx = ctx if arguments == list(task.arguments) else context_of(arguments)
-        return _of_files(ctx, task.item, key, loops, pictures)
+    cameras = _cameras(task, ctx)
+    key = _key(task, ctx, cameras)
+    with local(task.arguments, task.item if is_remote(task.item) else "", cameras) as files:
+        ctx = context_of(files.words) if files.folders else ctx
+        outcome = _of_files(ctx, task.item, key, loops, pictures)
+        output = ctx.params["output"]
+        record = output.with_name(f"{output.stem}.record.json")
+        for text in (record, ctx.params["report"], ctx.params["write_camera"]):
+            if text is not None and text.is_file():
+                files.name_in(text)
+        return replace(outcome, reason=files.named(outcome.reason))
 
 
 def _of_files(
@@ -133,7 +150,8 @@ def _of_files(
 def _key_if_read(task: Task) -> str | None:
     """The key of an item that was refused; None if its files cannot be read."""
     try:
-        return _key(task, context_of(task.arguments))
+        ctx = context_of(task.arguments)
+        return _key(task, ctx, _cameras(task, ctx))
     except (TsoError, OSError, click.ClickException):
         return None
 
