@@ -13,8 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.corruption import assert_refused
 from tests.scenes import EXAMPLES
 from tso_cli.batch.journal import ENDS, entries
+from tso_cli.batch.manifest import Item
+from tso_cli.commands.batch import command as batch_command
+from tso_cli.commands.batch_arguments import OF_BATCH, arguments_of, written_by
 from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.lab.bench.scale import conclude, long_batch, processes_of, write_poison
@@ -155,7 +159,8 @@ def test_a_full_disk_loses_no_item(items, tso, monkeypatch):
     def full(*arguments, **more):
         raise InputError("a.ply: cannot be written") from OSError(errno.ENOSPC, "no space")
 
-    words = (str(CHAIR / "initial.ply"), str(CHAIR / "mask.png"), "-o", "a.ply", "--steps", "1")
+    files = (str(CHAIR / "initial.ply"), str(CHAIR / "mask.png"))
+    words = ("--steps", "1", "-o", "a.ply", "--", *files)
     monkeypatch.setattr(refine_files, "write_cloud", full)
     outcome = batch_item.refine_item(Task("a.ply", words), False, None)
     assert outcome.event == "failed"
@@ -187,7 +192,7 @@ def test_shards_together_do_every_item_once(items, tso):
     for index in (1, 2):
         assert tso("batch", "items.csv", "-o", "out", "--shard", f"{index}/2", "-q").code == 0
     ends = [ends_of(f"out/{index}-of-2.journal.jsonl") for index in (1, 2)]
-    assert len(ends[0]) == 3
+    assert not ends[0].keys() & ends[1].keys()
     assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(5)}
 
 
@@ -197,11 +202,39 @@ def test_shards_together_do_every_item_once(items, tso):
         (HEADER, ["a.ply,m.png,x.ply,many,paper"], "row 2: steps: .*'many' is not a valid integer"),
         (HEADER, ["a.ply,m.png,x.ply,2,fast"], "row 2: preset: .*'fast' is not one of"),
         ("cloud,mask,stepps", ["a.ply,m.png,3"], "column 'stepps' is no option of tso refine"),
-        ("cloud,mask,check", ["a.ply,m.png,1"], "column 'check' is no option"),
+        ("cloud,mask,check", ["a.ply,m.png,1"], "column 'check' is not for one item"),
         ("cloud,mask,refine-camera", ["a.ply,m.png,maybe"], "expected true or false"),
-        ("cloud,mask,camera", ["a.ply,m.png,c.json"] * 2, "row 3 has the output a.refined.ply, as"),
+        ("cloud,mask", ["a.ply,m.png"] * 2, "row 3: output: .*row 2 writes a.refined.record.json"),
+        ("cloud,mask,output", ["a.ply,m.png,x.ply", "a.ply,m.png,x.npy"], "writes x.record.json"),
+        (
+            "cloud,mask,report",
+            ["a.ply,m.png,r.html", "b.ply,m.png,./r.html"],
+            "row 3: report: .*row 2 writes r.html too",
+        ),
+        ("cloud,mask,overlay", ["a.ply,m.png,../p.png"], "row 2: overlay is '../p.png', expected"),
+        ("cloud,mask,rerun", ["a.ply,m.png,/tmp/p.rrd"], "row 2: rerun is '/tmp/p.rrd', expected"),
+        ("cloud,mask,report", ["a.ply,m.png,s3://b/r.html"], "only output may be an address"),
+        ("cloud,mask,report", ["a.ply,m.png,index.html"], "report is index.html, which tso batch"),
+        ("cloud,mask,write-camera", ["a.ply,m.png,b.record.json"], "which tso batch writes itself"),
+        ("cloud,mask,report", ["a.ply,m.png,r.htm"], "row 2: report: .*'.htm', expected .html"),
+        ("cloud,mask,symmetry", ["a.ply,m.png,q"], "row 2: symmetry is 'q', expected auto"),
+        ("cloud,mask,output", ["a.ply,m.png,a.txt"], "row 2: output: .*'.txt', expected .ply"),
+        ("cloud,mask,output", ["a.ply,m.png,a.glb"], "row 2: output: .*'.glb', expected .ply"),
+        ("cloud,mask,assume", ["a.ply,m.png,mask-inverter"], "row 2: --assume is 'mask-inverter'"),
+        ("cloud,mask,gamma", ["a.ply,m.png,-1"], "row 2: gamma is -1.0, expected a number >= 0"),
+        ("cloud,mask,depth", ["a.ply,,d.png"], "row 2: no MASK was given"),
+        ("cloud,mask,mode,refine-camera", ["a.png,m.png,encoder,1"], "row 2: --refine-camera is"),
+        ("cloud,mask", ["a.ply,m.png;./m.png"], "row 2: mask is .*, expected each mask once"),
+        ("cloud,mask,source", ["a.ply,m.png,b.ply"], "row 2: the columns cloud and source are the"),
+        ("cloud,mask,strict", ["a.ply,m.png,1"], "'strict' is not for one item: the option --stri"),
+        ("cloud,mask,overwrite", ["a.ply,m.png,1"], "the option --overwrite sets it for all"),
+        ("cloud,mask,record", ["a.ply,m.png,1"], "'record' is not for one item: tso batch sets it"),
+        ('{"cloud": 3}', [], "row 1: cloud is 3, expected a path"),
+        ('{"cloud": "a.ply", "mask": []}', [], r"row 1: mask is \[\], expected a path"),
+        ('{"cloud": "a.ply", "mask": "m.png", "output": 3}', [], "row 1: output is 3, expected"),
         ("cloud,mask,assume", ["a.ply,m.png,list"], "assume is list, expected a name"),
         ("cloud,mask,output", ["a.ply,m.png,../x.ply"], "expected a name below the folder"),
+        ("cloud,mask,output", ["a.ply,m.png,s3://a/../x.ply"], "expected a name below the folder"),
         ("cloud,mask,output", ["a.ply,m.png,/x.ply"], "expected a name below the folder"),
     ],
 )
@@ -213,6 +246,43 @@ def test_a_wrong_row_is_refused_before_anything_is_done(items, tso, header, rows
     assert re.search(message, refusal), refusal
     assert "items.csv" in refusal
     assert not Path("out").exists()
+
+
+def test_the_folder_of_a_batch_is_no_address(items, tso, tmp_path):
+    items(HEADER, row("a.ply"))
+    refusal = tso("batch", "items.csv", "-o", f"file://{tmp_path}/out").refusal
+    assert "is an address, expected a folder" in refusal
+    assert {path.name for path in tmp_path.iterdir()} == {"items.csv"}
+
+
+def test_the_options_that_hold_for_all_items_are_those_of_the_batch():
+    options = {parameter.name: parameter.opts for parameter in batch_command.params}
+    assert all(option in options[name] for name, option in OF_BATCH.items())
+
+
+def test_files_of_an_item_are_known_before_it_begins():
+    values = {"cloud": "a.ply", "mask": "m.png", "overlay": "p.png", "write_camera": "in/c.json"}
+    (item,) = arguments_of([Item("row 1", {**values, "steps": "2"})], "in", Path("out"), [])
+    assert item[0] == "a.refined.ply"
+    files = ["out/a.refined.ply", "out/a.refined.record.json", "out/in/c.json", "out/p.png"]
+    assert sorted(written_by(item[1])) == sorted(files)
+    assert written_by(item[1])[:2] == files[:2]
+    plain = Item("row 1", {**values, "overlay": "./q.png"})
+    ((_, arguments),) = arguments_of([plain], "in", Path("out"), [])
+    assert set(written_by(arguments)) == {*files[:3], "out/q.png"}
+    far = Item("row 1", {"cloud": "a.ply", "mask": "m.png", "output": "s3://b/a.ply"})
+    ((_, arguments),) = arguments_of([far], "s3://c", Path("out"), [])
+    assert written_by(arguments) == ["s3://b/a.ply", "s3://b/a.record.json"]
+    assert arguments[-2:] == ("s3://c/a.ply", "s3://c/m.png")
+
+
+def test_a_shard_refuses_what_two_shards_would_write():
+    items = [
+        Item(f"row {n}", {"cloud": f"{n}.ply", "mask": "m.png", "report": "r.html"})
+        for n in range(8)
+    ]
+    for index in range(1, 5):
+        assert_refused("r.html", arguments_of, items, "", Path("out"), [], (index, 4))
 
 
 def test_a_record_repeats_its_run_wherever_it_is_read(folder, tso, monkeypatch):
@@ -351,6 +421,47 @@ def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
             "reason"
         ]
     )
+
+
+def test_a_camera_next_to_a_remote_mask_is_found_and_the_record_names_addresses(
+    items, tso, tmp_path
+):
+    pytest.importorskip("fsspec")
+    for name in ("initial.ply", "mask.png", "camera.json"):
+        shutil.copy(CHAIR / name, name)
+    here = f"file://{tmp_path}"
+    items(
+        "cloud,mask,output,steps,preset,report,write-camera",
+        f"{here}/initial.ply,{here}/mask.png,a.ply,2,paper,a.html,a.json",
+        f"initial.ply,{here}/mask.png,{here}/far/b.ply,2,paper,,",
+    )
+    assert tso("batch", f"{here}/items.csv", "-o", "out", "-q").code == 0
+    own = json.loads(Path("out/a.record.json").read_text())
+    assert own["views"][0]["camera"]["source"] == f"{here}/camera.json"
+    assert list(own["inputs"]) == [
+        f"{here}/{n}" for n in ("initial.ply", "mask.png", "camera.json")
+    ]
+    assert own["options"]["source"] == f"{here}/initial.ply"
+    assert own["options"]["masks"] == [f"{here}/mask.png"]
+    assert own["command"].startswith(f"tso refine {here}/initial.ply {here}/mask.png ")
+    far = json.loads(Path("far/b.record.json").read_text())
+    assert far["output"] == f"{here}/far/b.ply"
+    assert far["options"]["masks"] == [f"{here}/mask.png"]
+    assert far["options"]["source"] == f"{here}/initial.ply"
+    for file in ("out/a.record.json", "out/a.html", "out/a.json", "far/b.record.json"):
+        assert "/tso-" not in Path(file).read_text(), file
+    os.utime("camera.json", (0, 0))
+    again = tso("batch", f"{here}/items.csv", "-o", "out", "-q", "--json").document
+    assert again["done"] == 2
+
+
+def test_errors_of_remote_items_name_addresses(items, tso, tmp_path):
+    pytest.importorskip("fsspec")
+    Path("mask.png").write_text("no picture")
+    items("cloud,mask", f"{CHAIR / 'initial.ply'},file://{tmp_path}/mask.png")
+    assert tso("batch", "items.csv", "-o", "out", "-q").code == 3
+    (*_, entry) = entries(Path("out/journal.jsonl"))
+    assert entry["reason"].startswith(f"file://{tmp_path}/mask.png: ")
 
 
 @pytest.mark.parametrize(

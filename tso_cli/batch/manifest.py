@@ -8,72 +8,137 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
+import re
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
+from itertools import chain
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
 from ..errors import InputError
-from ..evaluation.pairs import CAMERAS, MASKS
-from ..io.clouds import SUFFIXES
+from ..evaluation.pairs import CAMERAS
+from ..io.clouds import SUFFIXES, output_suffix
+from ..io.masks import masks_in
 from ..io.output import reason
 from ..io.reading import plain, read_bytes, shown
+from .remote import read_remote
 
-One = TypeVar("One")
 STDIN = Path("-")
 # Columns that are not options of `tso refine` by that name.
 CLOUD, MASK, OUTPUT = "cloud", "mask", "output"
 EXPECTED = "a manifest of items (CSV or JSON Lines) or a folder"
 SEPARATOR = ";"  # of several files in one cell
+SEPARATORS = (",", ";", "\t")  # of cells
 # A folder may hold its kinds of files apart.
 PARTS = ("clouds", "masks", "cameras")
 # In a folder, a .txt file is more often a note than a cloud, and an array may be anything.
 IN_FOLDERS = tuple(suffix for suffix in SUFFIXES if suffix not in (".txt", ".npz", ".pt"))
+# Endings of a cloud's mask, the preferred ones first; "" is a folder. NAME.png may be the photo
+# where there is a NAME.mask.png, NAME.jpg where there is a NAME.png, and NAME.npy may be a cloud.
+MASKS = (
+    ("", ".mask.png"),
+    (".png", ".bmp", ".tif", ".tiff", ".webp", ".gif"),
+    (".npy", ".jpg", ".jpeg"),
+)
 RESULT = ".refined"  # what names of results end in
+BY_NAME = (
+    "expected NAME.png or NAME.mask.png next to NAME.ply, or the folders clouds, masks and "
+    "cameras; or give a manifest (CSV with the columns cloud and mask)"
+)
+# The mark of UTF-8 that some programs write, then blanks, then what the manifest begins with.
+_BEGIN = re.compile(rb"(?:\xef\xbb\xbf)?\s*(.?)", re.DOTALL)
 
 
-@dataclass(frozen=True)
-class Item:
+class Item(NamedTuple):
     """One row. ``place`` is what messages call it: "items.csv: row 3"."""
 
     place: str
     values: dict[str, Any]
 
 
-def read_manifest(path: Path) -> list[Item]:
-    """The items of a manifest, of a folder, or of stdin (``-``).
+def read_manifest(manifest: Path | str) -> Iterator[Item]:
+    """The items of a manifest, of a folder, or of stdin (``-``); a text is an address.
 
     A CSV file names its columns in the first row; an empty cell says nothing. JSON Lines have one
     object in each line. Raises InputError with the row, and the column where there is one.
     """
-    if path.is_dir():
-        return _of_folder(path)
-    if path == STDIN:
-        data, path = sys.stdin.buffer.read(), Path("stdin")
-    else:
-        data = read_bytes(path, EXPECTED)
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not text, expected {EXPECTED}") from None
-    lines = text.lstrip()[:1] in ("{", "[")
-    items = list(_of_lines(text, path) if lines else _of_csv(text, path))
-    if not items:
-        raise InputError(f"{path}: holds no item, expected one in each row")
-    for item in items:
+    if isinstance(manifest, Path) and manifest.is_dir():
+        yield from _of_folder(manifest)
+        return
+    data, name = _read(manifest)
+    begin = _BEGIN.match(data)
+    if not begin or not begin[1]:
+        raise InputError(f"{name}: is empty, expected {EXPECTED}")
+    item = None
+    for item in (_of_lines if begin[1] in b"{[" else _of_csv)(_lines(data, name), name):
         if CLOUD not in item.values:
             raise InputError(f"{item.place} has no {CLOUD}, expected the file of a cloud or mesh")
-    return items
+        yield item
+    if item is None:
+        raise InputError(f"{name}: holds no item, expected one in each row")
 
 
-def _of_lines(text: str, path: Path) -> Iterator[Item]:
-    for number, line in enumerate(text.splitlines(), 1):
+def folder_of(manifest: Path | str) -> str:
+    """What paths in a manifest are relative to; those of a folder's items are whole."""
+    whole = isinstance(manifest, Path) and manifest.is_dir()
+    return "" if whole else os.path.dirname(str(manifest))
+
+
+def _read(manifest: Path | str) -> tuple[bytes, str]:
+    """The bytes of a manifest, and what messages call it."""
+    if isinstance(manifest, str):
+        return read_remote(manifest), manifest
+    if manifest == STDIN:
+        return sys.stdin.buffer.read(), "stdin"
+    return read_bytes(manifest, EXPECTED), str(manifest)
+
+
+def _lines(data: bytes, name: str) -> Iterator[str]:
+    r"""The lines of a text. They end at \n alone: text may hold U+2028 and the like."""
+    for number, line in enumerate(io.BytesIO(data), 1):
+        try:
+            text = line.decode("utf-8-sig" if number == 1 else "utf-8")
+            wrong = 0 if "\0" in text else None  # UTF-16 without a mark of its own
+        except UnicodeDecodeError as error:
+            wrong = line[error.start]
+        if wrong is not None:
+            raise InputError(
+                f"{name}: is not UTF-8 (row {number} has the byte 0x{wrong:02x}), expected "
+                f"{EXPECTED}, in UTF-8"
+            )
+        yield text
+
+
+@lru_cache
+def _column(name: str) -> str:
+    return name.strip().casefold()
+
+
+def _row(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = {_column(name): value for name, value in pairs}
+    if len(values) < len(pairs):
+        raise InputError(_twice([name for name, _ in pairs]))
+    return values
+
+
+def _twice(names: Iterable[str]) -> str:
+    columns = list(map(_column, names))
+    twice = next(name for name in columns if columns.count(name) > 1)
+    return f"has the column {plain(twice)} twice, expected it once"
+
+
+def _of_lines(lines: Iterator[str], name: str) -> Iterator[Item]:
+    for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
-        place = f"{path}: row {number}"
+        place = f"{name}: row {number}"
         try:
-            values = json.loads(line)
+            values = json.loads(line, object_pairs_hook=_row)
+        except InputError as error:
+            raise InputError(f"{place} {error}") from None
         except (ValueError, RecursionError) as error:
             raise InputError(
                 f"{place} is not JSON ({reason(error)}), expected one object in each line"
@@ -84,75 +149,119 @@ def _of_lines(text: str, path: Path) -> Iterator[Item]:
         yield Item(place, {key: value for key, value in values.items() if value is not None})
 
 
-def _of_csv(text: str, path: Path) -> Iterator[Item]:
-    rows = csv.reader(io.StringIO(text), strict=True)
+def _of_csv(lines: Iterator[str], name: str) -> Iterator[Item]:
+    first = next(lines)
+    separator = _separator(first, name)
+    rows = csv.reader(chain([first], lines), delimiter=separator, strict=True)
+    quotes = "; several masks in one cell need quotes" if separator == SEPARATOR else ""
     try:
-        header = [name.strip() for name in next(rows, [])]
-        if CLOUD not in header:
-            raise InputError(
-                f"{path}: its columns are {plain(', '.join(header))}, expected {CLOUD}, {MASK} "
-                "and so on in the first row"
-            )
-        twice = next((name for name in header if header.count(name) > 1), None)
-        if twice is not None:
-            raise InputError(f"{path}: has the column {plain(twice)} twice, expected it once")
+        header = list(map(_column, next(rows)))
+        if len(set(header)) < len(header):
+            raise InputError(f"{name}: {_twice(header)}")
         for row in rows:
-            # A cell may hold line breaks: the number is that of the line where the row ends.
-            place = f"{path}: row {rows.line_num}"
-            if not any(cell.strip() for cell in row):
+            cells = list(map(str.strip, row))
+            if not any(cells):
                 continue
-            if len(row) != len(header):
+            # A cell may hold line breaks: the number is that of the line where the row ends.
+            place = f"{name}: row {rows.line_num}"
+            if len(cells) != len(header):
                 raise InputError(
-                    f"{place} has {len(row)} cells, expected {len(header)} as in the first row"
+                    f"{place} has {len(cells)} cells, expected {len(header)} as in the first "
+                    f"row{quotes}"
                 )
-            cells = zip(header, (cell.strip() for cell in row), strict=True)
-            yield Item(place, {name: cell for name, cell in cells if cell})
+            yield Item(place, {key: cell for key, cell in zip(header, cells, strict=True) if cell})
     except csv.Error as error:
-        raise InputError(f"{path}: row {rows.line_num} is not CSV ({error})") from None
+        raise InputError(f"{name}: row {rows.line_num} is not CSV ({error})") from None
 
 
-def _of_folder(folder: Path) -> list[Item]:
+def _separator(header: str, name: str) -> str:
+    """What separates the names of the columns: with it, one of them is `cloud`."""
+    for separator in SEPARATORS:
+        cells = next(csv.reader([header], delimiter=separator), [])
+        if CLOUD in map(_column, cells):
+            return separator
+    raise InputError(
+        f"{name}: its first row is {plain(header.strip())}, expected the columns {CLOUD}, {MASK} "
+        "and so on, with commas, semicolons or tabs between them"
+    )
+
+
+def _of_folder(folder: Path) -> Iterator[Item]:
     """Each cloud with the mask, or the folder of masks, and the camera that have its name."""
     places = [folder / part if (folder / part).is_dir() else folder for part in PARTS]
     clouds, masks, cameras = places
-    items, without = [], []
+    # There, a folder NAME holds the masks.
+    of_cameras = [(ending,) for ending in (CAMERAS if cameras == folder else ("", *CAMERAS))]
+    items: dict[str, Path] = {}
+    without = []
     for path in sorted(clouds.rglob("*")):
         relative = path.relative_to(clouds)
         name = relative.with_suffix("").as_posix()
         hidden = any(part.startswith(".") for part in relative.parts)
-        if hidden or path.suffix.lower() not in IN_FOLDERS or name.endswith(RESULT):
+        other = path.suffix.lower() not in IN_FOLDERS or name.endswith(RESULT)
+        if hidden or other or not path.is_file():
             continue
-        mask = _named(masks / name, ("", *MASKS), path)
+        mask = _named(masks / name, MASKS, path, _holds_masks)
         if mask is None:
             without.append(relative)
             continue
+        if name in items:
+            raise InputError(
+                f"{folder}: {items[name]} and {relative} have one name, expected one cloud of a "
+                "name; or give a manifest"
+            )
+        items[name] = relative
         values = {CLOUD: str(path), MASK: str(mask)}
-        apart = ("",) if cameras != folder else ()  # there, a folder NAME holds the masks
-        if camera := _named(cameras / name, (*apart, *CAMERAS), path):
+        if camera := _named(cameras / name, of_cameras, path, Path.is_dir):
             values["camera"] = str(camera)
-        items.append(Item(f"{folder}: {relative}", values))
-    if not items or without:
-        names = ", ".join(map(str, without[:3])) or "none"
+        values[OUTPUT] = f"{name}{RESULT}{output_suffix(path)}"
+        yield Item(f"{folder}: {relative}", values)
+    if without:
+        names = ", ".join(map(str, without[:3]))
         more = f" and {len(without) - 3:,} more" if len(without) > 3 else ""
-        raise InputError(
-            f"{folder}: found no mask for the clouds {names}{more}; expected NAME.png or "
-            "NAME.mask.png next to NAME.ply, or the folders clouds, masks and cameras; or give a "
-            "manifest (CSV with the columns cloud and mask)"
-        )
-    return items
+        raise InputError(f"{folder}: found no mask for the clouds {names}{more}; {BY_NAME}")
+    if not items:
+        raise InputError(f"{folder}: holds no cloud; {BY_NAME}")
 
 
-def _named(name: Path, endings: tuple[str, ...], cloud: Path) -> Path | None:
-    """The file of that name, or the folder if ``endings`` have "", other than the cloud itself."""
-    for ending in endings:
-        path = Path(f"{name}{ending}")
-        found = path.is_dir() and path != cloud.parent if not ending else path.is_file()
-        if found and path != cloud:
-            return path
+def _holds_masks(folder: Path) -> bool:
+    try:
+        return folder.is_dir() and bool(masks_in(folder))
+    except InputError:
+        return False
+
+
+def _named(
+    name: Path,
+    ranks: Iterable[tuple[str, ...]],
+    cloud: Path,
+    is_folder: Callable[[Path], bool],
+) -> Path | None:
+    """The file of that name, or the folder for the ending "", other than the cloud itself.
+
+    It is of the first of the ``ranks`` of endings that has one. Raises InputError if that has two.
+    """
+    for endings in ranks:
+        paths = [Path(f"{name}{ending}") for ending in endings]
+        found = [
+            path
+            for ending, path in zip(endings, paths, strict=True)
+            if path != cloud and (path.is_file() if ending else is_folder(path))
+        ]
+        if len(found) > 1:
+            raise InputError(
+                f"{cloud}: its mask may be {found[0]} or {found[1]}, expected one of the two; or "
+                f"name it NAME{MASKS[0][1]}"
+            )
+        if found:
+            return found[0]
     return None
 
 
-def shard_of(items: list[One], shard: tuple[int, int]) -> list[One]:
-    """Every n-th item from the i-th on, for ``shard`` (i, n) with i from 1 to n."""
+def in_shard(name: str, shard: tuple[int, int]) -> bool:
+    """Whether the i-th of n parts has an item, for ``shard`` (i, n) with i from 1 to n.
+
+    The item's name alone decides, so that items of one name are in one part.
+    """
     index, count = shard
-    return items[index - 1 :: count]
+    return zlib.crc32(name.encode(errors="surrogatepass")) % count == index - 1

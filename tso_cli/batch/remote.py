@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ..errors import InputError
-from ..io.output import reason
+from ..errors import InputError, TsoError
+from ..io.cameras import names_next_to
+from ..io.output import atomic_output, reason
 
 MARK = "://"
 
@@ -38,6 +42,17 @@ def exists(address: str) -> bool:
     return bool(system.exists(path))
 
 
+def read_remote(address: str) -> bytes:
+    """The bytes of a file; InputError if it cannot be read."""
+    system, path = _opened(address)
+    try:
+        return bytes(system.cat_file(path))
+    except FileNotFoundError:
+        raise InputError(f"{address}: does not exist, expected a file") from None
+    except Exception as error:  # each store has errors of its own
+        raise InputError(f"{address}: cannot be read ({reason(error)})") from None
+
+
 def state_of(address: str) -> str:
     """What changes if the file changes, as its file system knows it: size, time, checksum."""
     system, path = _opened(address)
@@ -47,32 +62,98 @@ def state_of(address: str) -> str:
         raise InputError(f"{address}: does not exist, expected a file") from None
 
 
+def cameras_of(masks: Sequence[str]) -> dict[str, str]:
+    """Remote mask -> the camera file next to it."""
+    found = {}
+    for mask in filter(is_remote, masks):
+        folder, _, name = mask.rpartition("/")
+        addresses = (f"{folder}/{one}" for one in names_next_to(Path(name)))
+        camera = next(filter(exists, addresses), None)
+        if camera is not None:
+            found[mask] = camera
+    return found
+
+
+@dataclass(frozen=True)
+class Local:
+    """The arguments of an item with local files in place of addresses.
+
+    folders : folder of a local file -> that of its address. Names are the same in both.
+    """
+
+    words: list[str]
+    folders: dict[str, str]
+
+    def named(self, text: str, folder: Path | None = None) -> str:
+        """``text`` with addresses for local files, also for paths relative to ``folder``."""
+        for place, address in self.folders.items():
+            relative = place if folder is None else Path(os.path.relpath(place, folder)).as_posix()
+            # The relative path comes first: it may end with the other. "." is in any path.
+            for found in (relative, place) if relative != "." else (place,):
+                text = text.replace(f"{found}/", f"{address}/")
+        return text
+
+    def name_in(self, file: Path) -> None:
+        """Let a record, or another text, name addresses for local files."""
+        if not self.folders:
+            return
+        before = file.read_text(encoding="utf-8")
+        text = self.named(before, file.parent)
+        if file.parent.as_posix() in self.folders and file.suffix == ".json":
+            # The record goes to its address: no path is relative to it any more.
+            document = json.loads(text)
+            document["options"] = _whole(document["options"], file.parent)
+            text = json.dumps(document, indent=2) + "\n"
+        if text != before:
+            with atomic_output(file) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+
+
+def _whole(value: Any, folder: Path) -> Any:
+    """``value`` with whole paths for those that lead out of ``folder``."""
+    if isinstance(value, dict):
+        return {name: _whole(one, folder) for name, one in value.items()}
+    if isinstance(value, list):
+        return [_whole(one, folder) for one in value]
+    leads_out = isinstance(value, str) and value.startswith("../")
+    return os.path.normpath(folder / value) if leads_out else value
+
+
 @contextmanager
-def local(words: Sequence[str], output: str) -> Iterator[list[str]]:
+def local(words: Sequence[str], output: str, cameras: Mapping[str, str]) -> Iterator[Local]:
     """The arguments of an item with local files in place of addresses.
 
     ``output`` is the address of the result, or "". What is written next to the local result is
-    stored next to it once the block has ended without an error. Raises InputError if a file cannot
-    be fetched, and OSError if the result cannot be stored.
+    stored next to it once the block has ended without an error. ``cameras`` are as of `cameras_of`.
+    Raises InputError if a file cannot be fetched, and OSError if the result cannot be stored.
+    Errors of tso in the block name addresses.
     """
     if not output and not any(is_remote(word) for word in words):
-        yield list(words)
+        yield Local(list(words), {})
         return
     with TemporaryDirectory(prefix="tso-") as folder:
-        found: list[str] = []
+        found = Local([], {})
         results: Path | None = None
         for number, word in enumerate(words):
             if not is_remote(word):
-                found.append(word)
+                found.words.append(word)
                 continue
-            place = Path(folder, str(number), PurePosixPath(word).name)
+            # No other folder has this name, so `named` may look for it alone.
+            place = Path(folder, f"{Path(folder).name}-{number}", PurePosixPath(word).name)
             place.parent.mkdir()
-            found.append(str(place))
+            found.words.append(str(place))
+            found.folders[place.parent.as_posix()] = word.rpartition("/")[0]
             if word == output:
                 results = place.parent
-            else:
-                _fetch(word, place)
-        yield found
+                continue
+            _fetch(word, place)
+            if word in cameras:
+                _fetch(cameras[word], place.with_name(PurePosixPath(cameras[word]).name))
+        try:
+            yield found
+        except TsoError as error:
+            error.args = (found.named(str(error)),)
+            raise
         for file in sorted(results.iterdir()) if results else []:
             _store(file, f"{output.rpartition('/')[0]}/{file.name}")
 

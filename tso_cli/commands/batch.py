@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from . import options
-from .options import PATH, choice, flag, option
+from .options import FilePath, choice, flag, option
 
 ENGINES = ("processes", "dask")
 
@@ -28,9 +28,37 @@ class Shard(click.ParamType):
         return int(index), int(count)
 
 
+def is_address(value: object) -> bool:
+    from ..batch.remote import is_remote
+
+    return is_remote(value)
+
+
+class PathOrAddress(FilePath):
+    """A path, or an address as text."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return value if is_address(value) else super().convert(value, param, ctx)
+
+
+class LocalPath(FilePath):
+    """A path that is no address."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if is_address(value):
+            self.fail(
+                f"{value} is an address, expected a folder, where the journal is; name addresses "
+                "of results in the column output.", param, ctx,
+            )  # fmt: skip
+        return super().convert(value, param, ctx)
+
+
 @click.command("batch", cls=options.Command, headings={"output": "Output", "jobs": "Running"})
-@click.argument("manifest", metavar="MANIFEST|FOLDER", type=PATH)
-@options.output("Folder for the results and the journal; it is made if need be.", required=True)
+@click.argument("manifest", metavar="MANIFEST|FOLDER", type=PathOrAddress())
+@option(
+    "--output", "Folder for the results and the journal; it is made if need be.", "-o",
+    type=LocalPath(), required=True,
+)  # fmt: skip
 @flag("--strict", "Write no doubtful results.")
 @options.overwrite
 @flag("--report", "Also write OUT/index.html, a table of all items with pictures.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from ..batch.remote import exists, is_remote, local, state_of
+from ..batch.remote import cameras_of, exists, is_remote, local, state_of
 from ..batch.run import Outcome, Task
 from ..errors import InputError, TsoError
 from ..io.output import atomic_output
@@ -21,7 +21,7 @@ from ..kernels.dispatch import decided
 from . import options
 from .refine import command as refine_command
 from .refine_files import RefineInputs
-from .refine_record import digest_of, key_of, record_of
+from .refine_record import WRITTEN, digest_of, key_of, record_of
 from .refine_run import RefineRun
 
 # Errors of a disk or network that may be over after a moment, and the seconds to wait before each
@@ -40,10 +40,20 @@ def context_of(arguments: Sequence[str]) -> click.Context:
     return refine_command.make_context("refine", list(arguments), **options.CONTEXT)
 
 
-def _key(task: Task, ctx: click.Context) -> str:
-    """The key of an item: its settings, the contents of its files, the state of remote files."""
+def _cameras(task: Task, ctx: click.Context) -> dict[str, str]:
+    """Remote mask -> the camera file next to it, unless the item names its camera."""
+    masks = task.arguments[task.arguments.index("--") + 2 :]
+    return {} if ctx.params["camera"] else cameras_of(masks)
+
+
+def _key(task: Task, ctx: click.Context, cameras: Mapping[str, str]) -> str:
+    """The key of an item: its settings, the contents of its files, the state of remote files.
+
+    ``cameras`` are those next to its masks.
+    """
     files = options.pick(RefineInputs, ctx.params).files
-    states = [state_of(word) for word in task.arguments if is_remote(word) and word != task.item]
+    remote = [word for word in task.arguments if is_remote(word) and word != task.item]
+    states = [state_of(address) for address in (*remote, *cameras.values())]
     return key_of(
         options.given(ctx), [*states, *(digest_of(file) for file in files if not _fetched(file))]
     )
@@ -60,9 +70,9 @@ def unchanged(task: Task) -> bool:
     if task.written:
         output = ctx.params["output"]
         there = exists(task.item) if is_remote(task.item) else output.is_file()
-        if not there or not (is_remote(task.item) or record_of(output).is_file()):
+        if not there or not (is_remote(task.item) or Path(record_of(str(output))).is_file()):
             return False
-    return _key(task, ctx) == task.key
+    return _key(task, ctx, _cameras(task, ctx)) == task.key
 
 
 def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
@@ -88,10 +98,16 @@ def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
 
 def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | None) -> Outcome:
     ctx = context_of(task.arguments)
-    key = _key(task, ctx)
-    with local(task.arguments, task.item if is_remote(task.item) else "") as arguments:
-        ctx = ctx if arguments == list(task.arguments) else context_of(arguments)
-        return _of_files(ctx, task.item, key, loops, pictures)
+    cameras = _cameras(task, ctx)
+    key = _key(task, ctx, cameras)
+    with local(task.arguments, task.item if is_remote(task.item) else "", cameras) as files:
+        ctx = context_of(files.words) if files.folders else ctx
+        outcome = _of_files(ctx, task.item, key, loops, pictures)
+        record = Path(record_of(str(ctx.params["output"])))
+        for text in (record, ctx.params["report"], ctx.params["write_camera"]):
+            if text is not None and text.is_file():
+                files.name_in(text)
+        return replace(outcome, reason=files.named(outcome.reason))
 
 
 def _of_files(
@@ -105,10 +121,11 @@ def _of_files(
     strict = chosen.pop("strict")
     for name in ("check", "quiet", "verbose", "as_json"):
         chosen.pop(name)
-    output = chosen["output"]
     # Files that are not of this batch were refused before; one of its own may be half of a result.
     chosen["overwrite"] = chosen["record"] = True
-    output.parent.mkdir(parents=True, exist_ok=True)
+    for name in ("output", *WRITTEN):
+        if chosen[name] is not None:
+            chosen[name].parent.mkdir(parents=True, exist_ok=True)
     with ctx, loops, options.Warnings(quiet=True) as warned:
         run = RefineRun(chosen, options.given(ctx), warned.texts, False, strict, True, False, False)
         report, unwritten = run.work()

@@ -12,7 +12,7 @@ import click
 
 from ..batch.engines import engine
 from ..batch.journal import ENDS, Journal, Past, journals_of, open_journal, read_journals
-from ..batch.manifest import read_manifest, shard_of
+from ..batch.manifest import folder_of, read_manifest
 from ..batch.remote import exists, is_remote
 from ..batch.run import Outcome, Summary, run, tasks_of
 from ..errors import InputError, Interrupted
@@ -33,7 +33,7 @@ MOST_LISTED = 5
 class BatchRun:
     """The options of `tso batch`; InputError if they do not go together."""
 
-    manifest: Path
+    manifest: Path | str  # an address
     output: Path
     strict: bool
     overwrite: bool
@@ -90,10 +90,9 @@ class BatchRun:
 
     def _items(self) -> list[tuple[str, tuple[str, ...]]]:
         """The name and the arguments of each item."""
-        folder = Path() if self.manifest.is_dir() else self.manifest.parent
         more = ["--strict"] if self.strict else []
-        items = arguments_of(read_manifest(self.manifest), folder, self.output, more)
-        return items if self.shard is None else shard_of(items, self.shard)
+        items, folder = read_manifest(self.manifest), folder_of(self.manifest)
+        return arguments_of(items, folder, self.output, more, self.shard or (1, 1))
 
     def _run(
         self,
@@ -128,10 +127,10 @@ class BatchRun:
         """Why an item that no run has begun must not begin."""
         if self.overwrite:
             return ""
-        if is_remote(item):
-            there = [item] if exists(item) else []
-        else:
-            there = [str(one) for one in written_by(self.output / item, arguments) if one.exists()]
+        there = [
+            one for one in written_by(arguments)
+            if (exists(one) if is_remote(one) else Path(one).exists())
+        ]  # fmt: skip
         return f"{there[0]}: exists already, expected a new name or --overwrite" if there else ""
 
 

@@ -26,9 +26,13 @@ if TYPE_CHECKING:
     from .refine_report import RefineReport
 
 
+# What is written next to the result, by the name of its option.
+SUFFIX_OF = {"overlay": ".png", "report": ".html", "rerun": ".rrd", "write_camera": ".json"}
+
+
 @dataclass
-class RefineInputs:
-    """What is refined, and with which images.
+class InputOptions:
+    """What is refined, and with which images, as the options say; no file is read.
 
     Raises InputError for options that do not go together.
 
@@ -60,21 +64,14 @@ class RefineInputs:
     def __post_init__(self) -> None:
         self._check_mode()
         self._check_evidence()
-        self.network = None
-        if self.mode != "points":
-            shipped = self.checkpoint in (None, Path(DEFAULT))
-            self.network = "shipped network" if shipped else f"network {self.checkpoint}"
-            self.checkpoint = named_checkpoint(self.checkpoint or Path(DEFAULT))
-        if not self.masks:
-            if self.camera is None or self.fit:
-                raise InputError(
-                    "no MASK was given, expected one or more, or --camera FILE whose views name "
-                    "their masks"
-                )
-            self.masks = tuple(named_masks(self.camera, self.camera_format, self.object_id))
-        self.masks = tuple(file for mask in self.masks for file in masks_in(mask))
-        if self.fit:
-            self._check_fit()
+        if not self.masks and (self.camera is None or self.fit):
+            raise InputError(
+                "no MASK was given, expected one or more, or --camera FILE whose views name their "
+                "masks"
+            )
+        # Which masks there are is known once folders are read.
+        views = dict.fromkeys(text.partition("@")[2] for text in self.assume)
+        self._check_assumptions([view for view in views if view])
 
     def _check_mode(self) -> None:
         if self.mode != "points":
@@ -130,13 +127,15 @@ class RefineInputs:
                 "camera file"
             )
 
-    def _check_fit(self) -> None:
+    def _check_assumptions(self, views: list[str]) -> None:
+        assumptions = assumptions_of(self.assume, views)
+        if not self.fit:
+            return
         if len(self.masks) != 1:
             raise InputError(
                 f"--camera fit finds the camera of one mask, found {len(self.masks)} masks; "
                 "expected one, or a camera file"
             )
-        assumptions = assumptions_of(self.assume, [str(mask) for mask in self.masks])
         if any(assumption.hypothesis.changes_camera for assumption in assumptions):
             raise InputError(
                 "--camera fit finds the camera by itself, expected no --assume about a camera"
@@ -146,6 +145,26 @@ class RefineInputs:
     def fit(self) -> bool:
         """Whether the camera is estimated."""
         return self.camera == FIT
+
+
+class RefineInputs(InputOptions):
+    """The same with all masks, of folders and of the camera file, and the network.
+
+    Raises InputError for options that do not go together.
+    """
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.network = None
+        if self.mode != "points":
+            shipped = self.checkpoint in (None, Path(DEFAULT))
+            self.network = "shipped network" if shipped else f"network {self.checkpoint}"
+            self.checkpoint = named_checkpoint(self.checkpoint or Path(DEFAULT))
+        if not self.masks and self.camera is not None:
+            self.masks = tuple(named_masks(self.camera, self.camera_format, self.object_id))
+        self.masks = tuple(file for mask in self.masks for file in masks_in(mask))
+        if self.fit:
+            self._check_assumptions([str(mask) for mask in self.masks])
 
     @property
     def files(self) -> list[Path]:
@@ -202,23 +221,19 @@ class RefineOutputs:
         """InputError for an output that cannot be written or would replace another file."""
         check_suffix(self.output, self.own_suffix)
         check_output(self.output, self.overwrite)
-        shown = {
-            "--overlay": (self.overlay, ".png"),
-            "--report": (self.report, ".html"),
-            "--rerun": (self.rerun, ".rrd"),
-        }
-        for name, (file, suffix) in shown.items():
+        for name in ("overlay", "report", "rerun"):
+            file = getattr(self, name)
             if file is None:
                 continue
-            require_output(file, suffix, self.overwrite)
+            require_output(file, SUFFIX_OF[name], self.overwrite)
             if file.resolve() in [path.resolve() for path in inputs]:
-                raise InputError(f"{file}: is an input, expected another name for {name}")
+                raise InputError(f"{file}: is an input, expected another name for --{name}")
         if self.record is not None:
             check_output(self.record, self.overwrite)
             if self.record.resolve() in [path.resolve() for path in inputs]:
                 raise InputError(f"{self.record}: is an input, expected another name for -o")
         if self.write_camera is not None:
-            require_output(self.write_camera, ".json", self.overwrite)
+            require_output(self.write_camera, SUFFIX_OF["write_camera"], self.overwrite)
             others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
             if self.write_camera.resolve() in [path.resolve() for path in others]:
                 raise InputError(

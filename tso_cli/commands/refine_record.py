@@ -8,6 +8,7 @@ import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from os.path import splitext
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -29,9 +30,9 @@ OF_RUN = ("record", "overwrite", "check", "quiet", "verbose", "as_json")
 OF_OUTPUT = ("output", "strict", *WRITTEN, *OF_RUN)
 
 
-def record_of(output: Path) -> Path:
-    """Where the record of a result is."""
-    return output.with_name(f"{output.stem}.record.json")
+def record_of(result: str) -> str:
+    """The name of a result's record."""
+    return f"{splitext(result)[0]}.record.json"
 
 
 _RECORD = "tso.record"

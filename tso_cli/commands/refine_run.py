@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from ..io.reading import require_memory
 from ..refinement import RefineConfig, RefineResult, refine
 from . import options
 from .refine_check import check_scene
-from .refine_files import RefineInputs, RefineOutputs
+from .refine_files import InputOptions, RefineInputs, RefineOutputs
 from .refine_record import record_of
 from .refine_report import RefineReport
 from .sentences import Words
@@ -26,6 +27,23 @@ from .sentences import Words
 BYTES_OF_A_CONTROL_POINT = 1100
 INTERRUPTED = 130
 """The exit code after Ctrl-C."""
+
+
+def check_options(chosen: Mapping[str, Any], strict: bool) -> None:
+    """InputError for options that do not go together or are out of range; no file is read."""
+    options.pick(InputOptions, chosen)
+    for name in ("refine_camera", "write_camera"):
+        if chosen[name] and chosen["mode"] != "points":
+            raise InputError(
+                f"--{name.replace('_', '-')} is for --mode points, found --mode {chosen['mode']}, "
+                "which places its cloud before the camera itself"
+            )
+    config = options.pick(RefineConfig, chosen)
+    if strict and not config.settings().staged:
+        raise InputError(
+            "--strict is for results with a confidence, of --mode points --preset best, found "
+            f"--mode {config.mode} --preset {config.preset}"
+        )
 
 
 class RefineRun:
@@ -50,15 +68,15 @@ class RefineRun:
         self._given = given
         self._warned, self._strict, self._as_json = warned, strict, as_json
         self._quiet, self._verbose = quiet, verbose
+        check_options(chosen, strict)
         self._inputs = options.pick(RefineInputs, chosen)
         source = self._inputs.source
         suffix = output_suffix(source) if self._inputs.mode == "points" else ".ply"
         output = chosen["output"] or Path(f"{source.stem}.refined{suffix}")
-        record = record_of(output) if chosen["record"] else None
+        record = Path(record_of(str(output))) if chosen["record"] else None
         named = {**chosen, "output": output, "own_suffix": suffix, "record": record}
         self._outputs = options.pick(RefineOutputs, named)
         self._refine_camera = chosen["refine_camera"]
-        self._require_points_mode()
         if not check:
             self._outputs.check(self._inputs.files)
         self._iterates = None if check else self._outputs.recorder()
@@ -106,20 +124,6 @@ class RefineRun:
         times = {"write": finished - writing, "total": finished - self._started}
         return self._report(result, {"read": read, **result.cost.seconds, **times}), refused
 
-    def _require_points_mode(self) -> None:
-        """Refuse options about cameras in the network modes."""
-        mode = self._inputs.mode
-        options_used = {
-            "--refine-camera": self._refine_camera,
-            "--write-camera": self._outputs.write_camera,
-        }
-        for name, used in options_used.items():
-            if used and mode != "points":
-                raise InputError(
-                    f"{name} is for --mode points, found --mode {mode}, which places its cloud "
-                    "before the camera itself"
-                )
-
     def _log_sources(self) -> None:
         if self._inputs.checkpoint is not None:
             options.log(f"tso: checkpoint: {self._inputs.checkpoint}")
@@ -133,13 +137,7 @@ class RefineRun:
                 stacklevel=1,
             )
         sigma_sq = self._scene.sigma_sq if sigma_sq is None else sigma_sq
-        config = options.pick(RefineConfig, {**chosen, "sigma_sq": sigma_sq})
-        if self._strict and not config.settings().staged:
-            raise InputError(
-                "--strict is for results with a confidence, of --mode points --preset best, found "
-                f"--mode {config.mode} --preset {config.preset}"
-            )
-        return config
+        return options.pick(RefineConfig, {**chosen, "sigma_sq": sigma_sq})
 
     def _require_writable_cameras(self) -> None:
         """Refuse to write the cameras of a cloud with left-handed axes."""

@@ -49,9 +49,14 @@ def check_output(path: Path, overwrite: bool) -> None:
 
 def require_output(path: Path, suffix: str, overwrite: bool) -> None:
     """InputError if the suffix of an output is wrong or the output cannot be written."""
+    require_suffix(path, suffix)
+    check_output(path, overwrite)
+
+
+def require_suffix(path: Path, suffix: str) -> None:
+    """InputError if the suffix of ``path`` is another."""
     if path.suffix.lower() != suffix:
         raise InputError(f"{path}: the suffix is {path.suffix!r}, expected {suffix}")
-    check_output(path, overwrite)
 
 
 def make_folder(path: Path) -> None:

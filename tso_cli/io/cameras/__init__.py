@@ -28,6 +28,11 @@ NAMES_ABOVE = (
 )  # fmt: skip
 
 
+def names_next_to(mask: Path) -> tuple[str, ...]:
+    """What a camera file in the folder of a mask may be called, the preferred name first."""
+    return (f"{mask.stem}.camera.json", *USUAL_NAMES)
+
+
 def find_camera(mask_path: Path) -> Path | None:
     """The camera file in the folder of a mask, or None.
 
@@ -35,7 +40,7 @@ def find_camera(mask_path: Path) -> Path | None:
     `tso render` names it) and ``transforms.json`` that exists; or else the first of `NAMES_ABOVE`,
     one folder above, with a view that names the mask.
     """
-    for name in (f"{mask_path.stem}.camera.json", *USUAL_NAMES):
+    for name in names_next_to(mask_path):
         path = mask_path.with_name(name)
         if path.is_file():
             return path
