@@ -390,10 +390,16 @@ def scale() -> str:
         "([record](records/scale.md)). At this pace:"
     )
     feeds = round(parent * each, -1)
+    (reading,) = (row for row in study["cases"] if "rows" in row)
+    more = 10_000_000 / reading["rows"]
     limit = (
         "The parent process reads the manifest and keeps the journal. It is one process, so it is "
         "what\nends the growth: it hands out at most "
-        f"{round(parent, -2):,.0f} items a second, as many as {feeds:,.0f} cores do."
+        f"{round(parent, -2):,.0f} items a second, as many as {feeds:,.0f} cores do.\n"
+        f"Before the first item, it reads and checks the manifest: {reading['rows']:,} rows take "
+        f"{reading['seconds']:.1f} s\nand {reading['MiB']:.0f} MiB, so 10,000,000 rows take "
+        f"{more * reading['seconds'] / 60:.0f} minutes and {more * reading['MiB'] / 1024:.0f} GiB. "
+        "With `--shard`, a machine keeps only\nits part of the rows."
     )
     return f"{text}\n\n{markdown(header, rows)}\n\n{limit}"
 

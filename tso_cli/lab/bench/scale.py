@@ -43,6 +43,17 @@ PART = 10  # pace and memory are of tenths of the items
 FEW = 60  # items of each way whose pace is compared
 NOTHING = "items that take no time"
 MANY = 5000  # of these
+ROWS = 100_000  # of a manifest that is only read
+READ = """
+import sys, time, resource
+from pathlib import Path
+from tso_cli.batch.manifest import folder_of, read_manifest
+from tso_cli.commands.batch_arguments import arguments_of
+memory = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+manifest, before, begun = Path(sys.argv[1]), memory(), time.perf_counter()
+items = arguments_of(read_manifest(manifest), folder_of(manifest), Path("out"), [])
+print(time.perf_counter() - begun, memory() - before)
+"""
 MORE = 600  # items of a batch whose pace is compared: processes take a second to start
 PLUGIN = {
     "poison-1.dist-info/METADATA": "Metadata-Version: 2.1\nName: poison\nVersion: 1\n",
@@ -74,6 +85,7 @@ def plan(
     }
     jobs = [
         ({"what": "pace"}, partial(_paces, seed)),
+        ({"what": "manifest"}, partial(_manifest, seed)),
         *(
             (
                 {"what": "long", "engine": one},
@@ -181,6 +193,16 @@ def _nothing_to_do(folder: Path) -> None:
     with open_journal(folder / NAME) as journal, WorkerPool(os.cpu_count() or 1) as pool:
         tasks = tasks_of(items, {}, lambda item, known: "")
         run(tasks, {}, _no_work, bool, pool, 8, journal, lambda *ended: None)
+
+
+def _manifest(seed: int) -> Cases:
+    """What a process needs to read and check a manifest, before any item begins."""
+    with _folder(ROWS, seed, poison=False) as folder:
+        found = subprocess.check_output(
+            [sys.executable, "-c", READ, "items.csv"], cwd=folder, env=_environment(folder)
+        )
+    seconds, kibibytes = map(float, found.split())
+    return [{"what": "manifest", "rows": ROWS, "seconds": seconds, "MiB": kibibytes / 1024}]
 
 
 def _no_work(task: Task) -> Outcome:
@@ -372,6 +394,7 @@ def tables(record: Record) -> list[Table]:
     cases, machine = record["cases"], record["settings"]["machine"]
     where = f"{machine['cpu']}, {machine['cores']} cores; {record['seconds']:.0f} s"
     paces = [[r["way"], r["items"], r["items_per_second"]] for r in cases if "way" in r]
+    reading = [[r["rows"], r["seconds"], r["MiB"]] for r in cases if "rows" in r]
     tenths = [
         [r["engine"], r["tenth"], r["items_per_second"], r["memory_MiB"]]
         for r in cases if "tenth" in r
@@ -383,6 +406,7 @@ def tables(record: Record) -> list[Table]:
     ]  # fmt: skip
     return [
         Table(["way", "items", "items/s"], paces, "Pace", where, 1),
+        Table(["rows", "s", "MiB"], reading, "Reading a manifest", decimals=1),
         Table(
             ["engine", "tenth of the items", "items/s", "MiB"], tenths, "A long batch", decimals=1
         ),
