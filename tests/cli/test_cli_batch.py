@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tso_cli
 from tests.corruption import assert_refused
 from tests.scenes import EXAMPLES
 from tso_cli.batch.journal import ENDS, entries
@@ -25,6 +26,7 @@ from tso_cli.lab.bench.scale import conclude, long_batch, processes_of, write_po
 from tso_cli.lab.study import Progress
 
 ROOT = Path(__file__).parents[2]
+PACKAGE = Path(tso_cli.__file__).parent
 CHAIR, CAR = EXAMPLES / "chair", EXAMPLES / "car"
 FEW = "--preset paper --steps 2"  # a quick run
 linux = pytest.mark.skipif(sys.platform != "linux", reason="kills processes by /proc")
@@ -477,7 +479,7 @@ def test_errors_of_remote_items_name_addresses(items, tso, tmp_path):
 )
 def test_a_record_is_as_its_schema_says(folder, tso, arguments):
     jsonschema = pytest.importorskip("jsonschema")
-    schema = json.loads((ROOT / "tso_cli/schemas/record.schema.json").read_text())
+    schema = json.loads((PACKAGE / "schemas/record.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)
     assert tso("refine", *arguments.split(), "--record", "-o", "r.ply", "-q").code == 0
     record = json.loads(Path("r.record.json").read_text())

@@ -248,7 +248,8 @@ def test_a_scene_that_breaks_the_executor_of_the_caller_loses_no_other():
         pytest.warns(UserWarning, match="executor broke, so processes of tso refine") as caught,
     ):
         results = refine_batch(scenes, RefineConfig(steps=3), executor=executor)
-    assert len(caught) == 1
+    # Python itself warns of processes that are forked from threads.
+    assert sum(one.category is UserWarning for one in caught) == 1
     _assert_only_scene_3_was_killed(results)
 
 
