@@ -37,13 +37,13 @@ def unchanged(task):
 def batch(tmp_path):
     """Run the items; the summary."""
 
-    def go(items=ITEMS, poison=(), on_end=lambda *told: None):
+    def go(items=ITEMS, poison=(), on_end=lambda *told: None, checking=unchanged):
         path = tmp_path / "journal.jsonl"
         with open_journal(path) as journal, WorkerPool(2) as pool:
             past = read_journals([path])
             tasks = tasks_of(items, past, lambda item, arguments: "")
             doing = partial(work, folder=tmp_path, poison=poison)
-            return run(tasks, past, doing, unchanged, pool, 4, journal, on_end)
+            return run(tasks, past, doing, checking, pool, 4, journal, on_end)
 
     return go
 
@@ -64,6 +64,19 @@ def test_every_item_ends_once_and_a_second_run_leaves_out_what_is_done(batch, tm
     assert again.counts == {"done": 11, "refused": 1}
     assert again.skipped == 11
     assert (tmp_path / "3").read_text() == "x"
+
+
+def killed_where_it_checks(task, parent):
+    if os.getpid() != parent:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return unchanged(task)
+
+
+def test_an_item_is_not_done_again_because_its_check_was_killed(batch, tmp_path):
+    batch()
+    again = batch(checking=partial(killed_where_it_checks, parent=os.getpid()))
+    assert again.skipped == 11
+    assert {len(texts) for name, texts in ends(tmp_path).items() if name != "5"} == {1}
 
 
 def test_an_item_whose_settings_changed_is_done_again(batch, tmp_path):

@@ -13,7 +13,7 @@ from typing import Any
 from ..errors import InputError, TsoError
 from ..io.output import reason
 from ..signals import at_interrupt, press_ctrl_c
-from ..workers import Ended, each
+from ..workers import Ended, each, is_death
 from .journal import RETURNED, STARTED, Journal, Past
 
 # Results of earlier runs are checked in tasks of about so long.
@@ -131,7 +131,7 @@ def run(
         settings: dict[str, Any] = dict(stopping=stopping, task_seconds=CHECKING_SECONDS)
         left_out = set()
         for checked in each(executor, unchanged, ended_before, window, **settings):
-            if checked.result:
+            if _is_unchanged(checked, unchanged):
                 item = checked.job.item
                 left_out.add(item)
                 outcome = _earlier(past[item].end)
@@ -160,6 +160,19 @@ def run(
             _end(one.job.item, _outcome_of(one), journal, summary, on_end)
         summary.interrupted = stopping() and summary.done < len(tasks)
     return summary
+
+
+def _is_unchanged(checked: Ended[Task], unchanged: Callable[[Task], bool]) -> bool:
+    """What a check found.
+
+    One whose process was killed says nothing of its item, and is made here.
+    """
+    if not is_death(checked.error):
+        return bool(checked.result)
+    try:
+        return unchanged(checked.job)
+    except Exception:  # the item itself will say what is wrong
+        return False
 
 
 @contextmanager
