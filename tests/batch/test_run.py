@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tso_cli.batch.journal import ENDS, entries, open_journal, read_journals
-from tso_cli.batch.run import Outcome, run, tasks_of
+from tso_cli.batch.run import Outcome, run, tasks_of, waiting_for_items
 from tso_cli.errors import InputError
 from tso_cli.signals import press_ctrl_c
 from tso_cli.workers import WorkerPool
@@ -39,11 +39,15 @@ def batch(tmp_path):
 
     def go(items=ITEMS, poison=(), on_end=lambda *told: None, checking=unchanged):
         path = tmp_path / "journal.jsonl"
-        with open_journal(path) as journal, WorkerPool(2) as pool:
+        with (
+            open_journal(path) as journal,
+            waiting_for_items() as interrupted,
+            WorkerPool(2) as pool,
+        ):
             past = read_journals([path])
             tasks = tasks_of(items, past, lambda item, arguments: "")
             doing = partial(work, folder=tmp_path, poison=poison)
-            return run(tasks, past, doing, checking, pool, 4, journal, on_end)
+            return run(tasks, past, doing, checking, pool, 4, journal, on_end, interrupted)
 
     return go
 

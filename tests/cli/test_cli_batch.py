@@ -1,5 +1,6 @@
 """`tso batch`: items end once whatever is killed; `--record` and `--config` repeat a run."""
 
+import contextlib
 import errno
 import json
 import os
@@ -16,6 +17,7 @@ import pytest
 import tso_cli
 from tests.corruption import assert_refused
 from tests.scenes import EXAMPLES
+from tso_cli.batch.engines import engine
 from tso_cli.batch.journal import ENDS, entries
 from tso_cli.batch.manifest import Item
 from tso_cli.commands.batch import command as batch_command
@@ -369,6 +371,32 @@ def test_a_cluster_of_dask_loses_nothing_and_names_the_poison(items, tmp_path):
     assert ends.pop("poison.ply") == ["failed"]
     assert ends == {name: ["done"] for name in names}
     assert "its process died" in journal.read_text()
+
+
+@pytest.mark.parametrize("when", ["engine", "compiling"])
+def test_one_ctrl_c_is_never_lost(items, tso, monkeypatch, when):
+    """An engine may swallow the exception that Ctrl-C raises while the engine starts."""
+    from tso_cli.commands import batch_run
+
+    def swallowed():
+        with contextlib.suppress(BaseException):
+            signal.raise_signal(signal.SIGINT)
+
+    @contextlib.contextmanager
+    def starting(*arguments):
+        swallowed()
+        with engine(*arguments) as used:
+            yield used
+
+    items(HEADER, *(row(f"{number}.ply") for number in range(4)))
+    if when == "engine":
+        monkeypatch.setattr(batch_run, "engine", starting)
+    else:
+        monkeypatch.setattr(batch_run, "_compiled", lambda quiet: swallowed() or False)
+    shown = tso("batch", "items.csv", "-o", "out")
+    assert shown.code == 130
+    assert "0 of 4 items" in shown.out
+    assert "the same command goes on" in shown.out
 
 
 def test_a_cluster_that_is_not_there_is_refused(items, tso):

@@ -112,54 +112,74 @@ def run(
     window: int,
     journal: Journal,
     on_end: OnEnd,
+    interrupted: threading.Event,
     task_seconds: float = 0.0,
 ) -> Summary:
     """Do all tasks, and write down what becomes of each.
 
     ``unchanged`` says of a task with a key whether its result and its inputs are as they were; it
     is then left out. Items that earlier runs began twice and never ended are done last and alone.
-    Ctrl-C lets the items at work end, for `PATIENCE` seconds; a second Ctrl-C, or the end of that
-    time, is a KeyboardInterrupt.
+    Once ``interrupted`` is set (`waiting_for_items`), the items at work end and no other begins.
     """
     summary = Summary(len(tasks))
     suspicious = {task.item for task in tasks if past.get(task.item, Past()).suspicious}
     summary.quarantined = sorted(suspicious)
-    came = threading.Event()
-    stopping = came.is_set
-    with _at_interrupt(came):
-        ended_before = [task for task in tasks if task.key]
-        settings: dict[str, Any] = dict(stopping=stopping, task_seconds=CHECKING_SECONDS)
-        left_out = set()
-        for checked in each(executor, unchanged, ended_before, window, **settings):
-            if _is_unchanged(checked, unchanged):
-                item = checked.job.item
-                left_out.add(item)
-                outcome = _earlier(past[item].end)
-                summary.skipped += 1
-                summary.add(item, outcome)
-                on_end(item, outcome, summary)
-        left = [task for task in tasks if task.item not in left_out]
-        for task in left:
-            if task.refusal:
-                _end(task.item, Outcome("refused", reason=task.refusal), journal, summary, on_end)
-        left = [task for task in left if not task.refusal]
-        first = (task for task in left if task.item not in suspicious)
-        last = [task for task in left if task.item in suspicious]
-        ended = each(
-            executor,
-            work,
-            first,
-            window,
-            last=last,
-            on_start=lambda task, deaths: journal.add(task.item, STARTED),
-            on_return=lambda task: journal.add(task.item, RETURNED),
-            stopping=stopping,
-            task_seconds=task_seconds,
-        )
-        for one in ended:
-            _end(one.job.item, _outcome_of(one), journal, summary, on_end)
-        summary.interrupted = stopping() and summary.done < len(tasks)
+    stopping = interrupted.is_set
+    ended_before = [task for task in tasks if task.key]
+    settings: dict[str, Any] = dict(stopping=stopping, task_seconds=CHECKING_SECONDS)
+    left_out = set()
+    for checked in each(executor, unchanged, ended_before, window, **settings):
+        if _is_unchanged(checked, unchanged):
+            item = checked.job.item
+            left_out.add(item)
+            outcome = _earlier(past[item].end)
+            summary.skipped += 1
+            summary.add(item, outcome)
+            on_end(item, outcome, summary)
+    left = [task for task in tasks if task.item not in left_out]
+    for task in left:
+        if task.refusal:
+            _end(task.item, Outcome("refused", reason=task.refusal), journal, summary, on_end)
+    left = [task for task in left if not task.refusal]
+    first = (task for task in left if task.item not in suspicious)
+    last = [task for task in left if task.item in suspicious]
+    ended = each(
+        executor,
+        work,
+        first,
+        window,
+        last=last,
+        on_start=lambda task, deaths: journal.add(task.item, STARTED),
+        on_return=lambda task: journal.add(task.item, RETURNED),
+        stopping=stopping,
+        task_seconds=task_seconds,
+    )
+    for one in ended:
+        _end(one.job.item, _outcome_of(one), journal, summary, on_end)
+    summary.interrupted = stopping() and summary.done < len(tasks)
     return summary
+
+
+@contextmanager
+def waiting_for_items() -> Iterator[threading.Event]:
+    """Inside, Ctrl-C sets the event, so that items at work may end.
+
+    A second Ctrl-C is a KeyboardInterrupt, and so is the end of `PATIENCE` seconds. The first one
+    raises nothing: an engine that starts would swallow it.
+    """
+    interrupted = threading.Event()
+    again = threading.Timer(PATIENCE, press_ctrl_c)
+    again.daemon = True
+
+    def act() -> None:
+        interrupted.set()
+        again.start()
+
+    try:
+        with at_interrupt(act, once=True):
+            yield interrupted
+    finally:
+        again.cancel()
 
 
 def _is_unchanged(checked: Ended[Task], unchanged: Callable[[Task], bool]) -> bool:
@@ -173,23 +193,6 @@ def _is_unchanged(checked: Ended[Task], unchanged: Callable[[Task], bool]) -> bo
         return unchanged(checked.job)
     except Exception:  # the item itself will say what is wrong
         return False
-
-
-@contextmanager
-def _at_interrupt(came: threading.Event) -> Iterator[None]:
-    """Ctrl-C sets ``came``; a timer presses it again."""
-    again = threading.Timer(PATIENCE, press_ctrl_c)
-    again.daemon = True
-
-    def act() -> None:
-        came.set()
-        again.start()
-
-    try:
-        with at_interrupt(act, once=True):
-            yield
-    finally:
-        again.cancel()
 
 
 def _end(item: str, outcome: Outcome, journal: Journal, summary: Summary, on_end: OnEnd) -> None:

@@ -14,7 +14,7 @@ from ..batch.engines import engine
 from ..batch.journal import ENDS, Journal, Past, journals_of, open_journal, read_journals
 from ..batch.manifest import folder_of, read_manifest
 from ..batch.remote import exists, is_remote
-from ..batch.run import Outcome, Summary, run, tasks_of
+from ..batch.run import Outcome, Summary, run, tasks_of, waiting_for_items
 from ..errors import InputError, Interrupted
 from ..io.output import check_output, sole_writer
 from ..workers import cores
@@ -103,7 +103,10 @@ class BatchRun:
         tasks = tasks_of(items, past, self._refusal, self.strict)
         bar = options.ProgressBar("tso: refining", delay=0.0)
         processes = min(self.jobs or cores(), max(1, len(tasks)))
-        with engine(self.engine, processes, self.scheduler) as used:
+        with (
+            waiting_for_items() as interrupted,
+            engine(self.engine, processes, self.scheduler) as used,
+        ):
             compiled, begun = _compiled(self.quiet), time.perf_counter()
 
             def on_end(item: str, outcome: Outcome, summary: Summary) -> None:
@@ -118,7 +121,7 @@ class BatchRun:
             try:
                 return run(
                     tasks, past, work, unchanged, used.executor, used.window, journal, on_end,
-                    used.task_seconds,
+                    interrupted, used.task_seconds,
                 )  # fmt: skip
             finally:
                 bar.close()

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 
@@ -192,7 +193,7 @@ def _nothing_to_do(folder: Path) -> None:
     items = [(row[3], tuple(row)) for row in _rows(folder)]
     with open_journal(folder / NAME) as journal, WorkerPool(os.cpu_count() or 1) as pool:
         tasks = tasks_of(items, {}, lambda item, known: "")
-        run(tasks, {}, _no_work, bool, pool, 8, journal, lambda *ended: None)
+        run(tasks, {}, _no_work, bool, pool, 8, journal, lambda *ended: None, Event())
 
 
 def _manifest(seed: int) -> Cases:
