@@ -423,7 +423,7 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
         {
             "items a second": {
                 row["way"]: {"items a second": row["items_per_second"]}
-                for row in cases if "way" in row
+                for row in cases if "way" in row and row["way"] != NOTHING
             },
             "a long batch, by tenths of its items": {
                 f"{row['engine']}, tenth {row['tenth']}": {
