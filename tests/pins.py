@@ -35,7 +35,7 @@ PRESETS = ("best", "paper")
 # Values that a clock or the place of the files decides.
 FLEETING = (
     "seconds", "images_per_second", "version", "output", "state", "checkpoint", "inputs", "options",
-    "record", "report",
+    "record", "report", "rerun",
 )  # fmt: skip
 # Words, which may change without a change of results.
 PROSE = ("convention", "warnings", "reason", "choice", "symmetry_reason", "what", "option")
