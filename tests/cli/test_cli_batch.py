@@ -422,11 +422,16 @@ def test_the_index_shows_every_item_with_its_last_end(items, tso):
     assert "<b>" not in page
 
 
-def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
+def chair_at_an_address(folder):
+    """The address of a folder with cloud, mask and camera of the chair."""
     pytest.importorskip("fsspec")
     for name in ("initial.ply", "mask.png", "camera.json"):
-        shutil.copy(CHAIR / name, name)
-    here = f"file://{tmp_path}"
+        shutil.copy(CHAIR / name, folder / name)
+    return f"file://{folder}"
+
+
+def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
+    here = chair_at_an_address(tmp_path)
     items(
         "cloud,mask,camera,output,steps,preset",
         f"{here}/initial.ply,{here}/mask.png,{here}/camera.json,{here}/far/a.ply,2,paper",
@@ -456,10 +461,7 @@ def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
 def test_a_camera_next_to_a_remote_mask_is_found_and_the_record_names_addresses(
     items, tso, tmp_path
 ):
-    pytest.importorskip("fsspec")
-    for name in ("initial.ply", "mask.png", "camera.json"):
-        shutil.copy(CHAIR / name, name)
-    here = f"file://{tmp_path}"
+    here = chair_at_an_address(tmp_path)
     items(
         "cloud,mask,output,steps,preset,report,write-camera",
         f"{here}/initial.ply,{here}/mask.png,a.ply,2,paper,a.html,a.json",

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from ..errors import InputError, TsoError
+from ..errors import TsoError, needed_by
 from ..io.output import reason
 from ..workers import WorkerPool
 
@@ -48,13 +48,9 @@ def engine(name: str, processes: int, scheduler: str | None) -> Iterator[Engine]
 
 @contextmanager
 def _dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
-    try:
+    with needed_by("`engine` dask needs"):
         import dask
         from distributed import Client, LocalCluster
-    except ImportError:
-        raise InputError(
-            "`engine` dask needs dask, which is not installed: pip install 'tso-cli[dask]'"
-        ) from None
     # A task whose worker dies comes back at once, and `each` decides what is tried again. With more
     # failures allowed, a task that kills its worker would kill several.
     settings = {

@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ..errors import InputError, TsoError
+from ..errors import InputError, TsoError, needed_by
 from ..io.cameras import names_next_to
 from ..io.output import atomic_output, reason
 
@@ -24,12 +24,8 @@ def is_remote(word: object) -> bool:
 
 def _opened(address: str) -> tuple[Any, str]:
     """The file system of an address, and the path there."""
-    try:
+    with needed_by(f"{address}: needs"):
         from fsspec.core import url_to_fs
-    except ImportError:
-        raise InputError(
-            f"{address}: needs fsspec, which is not installed: pip install 'tso-cli[remote]'"
-        ) from None
     try:
         system, path = url_to_fs(address)
     except (ImportError, ValueError) as error:

@@ -11,6 +11,7 @@ from urllib.parse import quote
 from ..batch.journal import ENDS, NAME, entries
 from ..io.output import write_file
 from ..plots.index_page import COLUMNS, index_page
+from .refine_record import record_of
 
 INDEX, PICTURES = "index.html", "pictures"
 NO_PICTURES = (
@@ -52,7 +53,7 @@ def _row(output: Path, entry: dict[str, Any]) -> dict[str, Any]:
 
 def _page_of(output: Path, item: str) -> str | None:
     """The page of an item, relative to the folder; None unless its record names one."""
-    record = (output / item).with_suffix(".record.json")
+    record = Path(record_of(str(output / item)))
     try:
         page = json.loads(record.read_bytes())["options"]["report"]
         path = os.path.normpath(Path(item).parent / page)

@@ -16,7 +16,7 @@ from ..batch.manifest import folder_of, read_manifest
 from ..batch.remote import exists, is_remote
 from ..batch.run import Outcome, Summary, run, tasks_of, waiting_for_items
 from ..errors import InputError, Interrupted
-from ..io.output import check_output, sole_writer
+from ..io.output import check_output, make_folder, sole_writer
 from ..workers import cores
 from . import options
 from .batch_arguments import arguments_of, written_by
@@ -54,11 +54,7 @@ class BatchRun:
     def run(self) -> int:
         """Run the batch and print what became of it; the exit code."""
         items, begun = self._items(), time.perf_counter()
-        try:
-            self.output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            found = f"cannot be made ({error.strerror}), expected a folder to write to"
-            raise InputError(f"{self.output}: {found}") from None
+        make_folder(self.output)
         own, others = journals_of(self.output, self.shard)
         self._check_index(own, others)
         try:

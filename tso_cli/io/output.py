@@ -1,10 +1,10 @@
 """Output files are written whole or not at all, and replace another file only if the user asks.
 
-While NAME.SUFFIX is written it is the file .NAME.xxxxxxxxxxxxxxxxxxxx.SUFFIX in the same folder. Of
-the letters x the first eight are a digest of the whole name, the others are random. The writer
-locks this temporary file. A temporary file that is some seconds old and has no lock was left by a
-run that was killed: the next run that writes the same file removes it. Long work that writes a file
-again and again holds a lock on .NAME.SUFFIX.lock in the same folder.
+While NAME.SUFFIX is written it is the file .NAME.xxxxxxxx.0.SUFFIX in the same folder. The letters
+x are a digest of the whole name. The writer locks this temporary file, and the number grows while
+another process holds it. A killed run leaves a file without a lock, which the next run that writes
+the same file takes. Without locks, random letters stand in place of the number. Long work that
+writes a file again and again holds a lock on .NAME.SUFFIX.lock in the same folder.
 """
 
 from __future__ import annotations
