@@ -84,3 +84,14 @@ def test_the_later_of_two_journals_counts(tmp_path):
         path.write_text(json.dumps({"item": "a", "event": event, "time": when, "key": "k"}) + "\n")
     for some_order in (paths, paths[::-1]):
         assert read_journals(some_order)["a"].end["event"] == "done"
+
+
+def test_in_one_journal_the_lower_line_is_later_even_if_the_clock_was_set_back(tmp_path):
+    whole, other = tmp_path / "journal.jsonl", tmp_path / "1-of-2.journal.jsonl"
+    lines = [
+        {"item": "a", "event": "failed", "time": 9.0},
+        {"item": "a", "event": "done", "time": 3.0},
+    ]
+    whole.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    other.write_text(json.dumps({"item": "a", "event": "refused", "time": 5.0}) + "\n")
+    assert read_journals([whole, other])["a"].end["event"] == "done"

@@ -42,8 +42,8 @@ def page(tmp_path, monkeypatch):
 
 
 def test_of_several_journals_the_latest_end_of_an_item_counts(page):
-    journal("1-of-2.journal.jsonl", ("a.ply", "done", 20.0, 0.9), ("b.ply", "failed", 5.0, None))
-    journal("journal.jsonl", ("a.ply", "failed", 10.0, None), ("b.ply", "done", 6.0, 0.8))
+    journal("1-of-2.journal.jsonl", ("b.ply", "failed", 5.0, None), ("a.ply", "done", 20.0, 0.9))
+    journal("journal.jsonl", ("b.ply", "done", 6.0, 0.8), ("a.ply", "failed", 10.0, None))
     events = {item: row["event"] for item, row in page()[1].items()}
     assert events == {"a.ply": "done", "b.ply": "done"}
 

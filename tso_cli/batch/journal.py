@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import heapq
 import json
+import math
 import os
 import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -62,9 +64,13 @@ def journals_of(output: Path, shard: tuple[int, int] | None) -> tuple[Path, list
 
 
 def read_journals(paths: Sequence[Path]) -> dict[str, Past]:
-    """Item -> its past. A line that was cut off by the end of its writer says nothing."""
+    """Item -> its past. A line that was cut off by the end of its writer says nothing.
+
+    Within a journal the order of its lines counts, even if the clock was set back. Between journals
+    the time counts.
+    """
     past: dict[str, Past] = {}
-    for entry in heapq.merge(*map(entries, paths), key=lambda entry: entry["time"]):
+    for _, entry in heapq.merge(*map(_timed, paths), key=itemgetter(0)):
         one = past.setdefault(entry["item"], Past())
         if entry["event"] == STARTED:
             one.starts, one.begun = one.starts + 1, True
@@ -73,6 +79,14 @@ def read_journals(paths: Sequence[Path]) -> dict[str, Past]:
         else:
             one.starts, one.end = 0, entry
     return past
+
+
+def _timed(path: Path) -> Iterator[tuple[float, dict[str, Any]]]:
+    """The entries of a journal, each with a time that is not before that of the one above."""
+    latest = -math.inf
+    for entry in entries(path):
+        latest = max(latest, entry["time"])
+        yield latest, entry
 
 
 def entries(path: Path) -> Iterator[dict[str, Any]]:

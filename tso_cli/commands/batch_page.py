@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from ..batch.journal import ENDS, NAME, entries
+from ..batch.journal import NAME, read_journals
 from ..io.output import write_file
 from ..plots.index_page import COLUMNS, index_page
 from .refine_record import record_of
@@ -27,15 +27,9 @@ def picture_of(output: Path, item: str) -> Path:
 
 def write_index(output: Path) -> Path:
     """Write the page of all items of all journals in ``output``, each with its last end."""
-    ends: dict[str, dict[str, Any]] = {}
-    for journal in sorted(output.glob(f"*{NAME}")):
-        for entry in entries(journal):
-            known = ends.get(entry["item"])
-            # An item may have ended in several journals, of other shards.
-            if entry["event"] in ENDS and (known is None or entry["time"] >= known["time"]):
-                ends[entry["item"]] = entry
+    past = read_journals(sorted(output.glob(f"*{NAME}")))
     path = output / INDEX
-    rows = [_row(output, entry) for entry in ends.values()]
+    rows = [_row(output, one.end) for one in past.values() if one.end]
     write_file(path, index_page(rows, NO_PICTURES).encode(), overwrite=True)
     return path
 
