@@ -1,5 +1,6 @@
 """Work in other processes: a process that dies takes nothing with it, and outlives no parent."""
 
+import io
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from tso_cli.workers import Here, WorkerDied, WorkerPool, each
+from tso_cli.workers.pool import receive, send
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 
@@ -101,6 +103,26 @@ def test_only_the_work_of_a_killed_process_is_lost(pool):
     with pytest.raises(WorkerDied, match="ended with exit code 7"):
         pool.submit(leave, 7).result()
     assert pool.submit(square, 4).result() == 16
+
+
+@pytest.mark.parametrize("size", [10, 1 << 20])
+def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_a_death_too(size):
+    """Not a broken pipe: its work is tried again, and is not taken for failed."""
+    with WorkerPool(1) as pool:
+        os.kill(pool.submit(process).result(), signal.SIGKILL)
+        time.sleep(0.2)
+        with pytest.raises(WorkerDied):
+            pool.submit(len, bytes(size)).result()
+        assert pool.submit(len, bytes(size)).result() == size
+
+
+@pytest.mark.parametrize("kept", [3, 8, 12])
+def test_a_message_that_was_cut_off_is_the_end_of_the_other_side(kept):
+    stream = io.BytesIO()
+    send(stream, b"a message")
+    assert receive(io.BytesIO(stream.getvalue())) == b"a message"
+    with pytest.raises(EOFError):
+        receive(io.BytesIO(stream.getvalue()[:kept]))
 
 
 def test_an_interrupt_reaches_the_work_and_not_the_process():

@@ -130,8 +130,7 @@ class _Child:
         except (EOFError, OSError):
             self._process = None
             process.kill()
-            process.stdin.close()
-            process.stdout.close()
+            _close(process)
             raise WorkerDied(f"its process {_end(process.wait())}") from None
         finally:
             self._working = False
@@ -161,10 +160,15 @@ class _Child:
         if process:
             process.kill()
             process.wait()
-            for stream in (process.stdin, process.stdout):
-                if stream:
-                    with suppress(OSError):
-                        stream.close()
+            _close(process)
+
+
+def _close(process: subprocess.Popen[bytes]) -> None:
+    """Close the pipes of a dead process; what is left in a buffer cannot be sent."""
+    for stream in (process.stdin, process.stdout):
+        if stream:
+            with suppress(OSError):
+                stream.close()
 
 
 def _end(code: int) -> str:
@@ -187,7 +191,10 @@ def send(stream: IO[bytes], message: bytes) -> None:
 def receive(stream: IO[bytes]) -> bytes:
     """The next message; EOFError if the other side has ended."""
     header = stream.read(LENGTH.size)
-    message = stream.read(LENGTH.unpack(header)[0]) if len(header) == LENGTH.size else b""
-    if not message:
+    if len(header) < LENGTH.size:
+        raise EOFError
+    (length,) = LENGTH.unpack(header)
+    message = stream.read(length)
+    if len(message) < length:
         raise EOFError
     return message
