@@ -12,6 +12,7 @@ import click
 import pytest
 from PIL import Image
 
+import tso_cli
 from tests.readme import (
     DOCS,
     PAGES,
@@ -144,7 +145,7 @@ def test_every_option_that_a_page_names_is_one_of_a_command():
 
 def test_every_message_in_troubleshooting_is_one_of_the_program():
     texts = []
-    for path in (ROOT / "tso_cli").rglob("*.py"):
+    for path in Path(tso_cli.__file__).parent.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.JoinedStr):
                 texts.append(
