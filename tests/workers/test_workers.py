@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
@@ -148,6 +149,22 @@ def test_a_pool_ends_at_once_if_it_is_not_to_wait():
     assert time.monotonic() - begun < 10.0
     assert isinstance(waiting.exception(), WorkerDied)
     assert later.cancelled()
+
+
+def test_a_process_that_starts_while_its_pool_ends_ends_too(monkeypatch):
+    pool, starting, popen = WorkerPool(1), threading.Event(), subprocess.Popen
+
+    def slow(*arguments, **options):
+        starting.set()
+        time.sleep(0.3)
+        return popen(*arguments, **options)
+
+    monkeypatch.setattr(subprocess, "Popen", slow)
+    waiting, begun = pool.submit(sleep, 60.0), time.monotonic()
+    starting.wait()
+    pool.shutdown(wait=False)
+    assert time.monotonic() - begun < 10.0
+    assert isinstance(waiting.exception(), WorkerDied)
 
 
 @linux

@@ -123,11 +123,13 @@ class _Child:
         process = self._process = self._process or self._started()
         assert process.stdin
         assert process.stdout
+        if self._ended:  # `kill` came while the process started, and did not see it
+            process.kill()
         self._working = True
         try:
             send(process.stdin, message)
             reply = receive(process.stdout)
-        except (EOFError, OSError):
+        except (EOFError, OSError, ValueError):  # the last if `kill` has closed the pipes
             self._process = None
             process.kill()
             _close(process)
