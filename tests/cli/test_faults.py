@@ -164,7 +164,8 @@ def test_of_four_processes_that_write_at_once_no_write_fails(tmp_path, name):
 def test_a_signal_while_files_are_written_leaves_none(folder, name):
     program = (
         "import os, signal\nfrom tso_cli.cli import main\nfrom tso_cli.plots import overlay\n"
-        f"overlay.draw_overlay = lambda *_: os.kill(os.getpid(), signal.{name})\nmain()"
+        f"overlay.draw_overlay = lambda *_: os.kill(os.getpid(), signal.{name})\n"
+        f"signal.signal(signal.{name}, signal.SIG_DFL)\nmain()"  # nohup ignores SIGHUP
     )
     run = started("refine", *OUTPUTS, program=program)
     assert run.communicate()[1].splitlines()[-1] == "tso: error: interrupted"
