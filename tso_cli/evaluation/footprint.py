@@ -134,8 +134,9 @@ def spacing(points: Array) -> tuple[float, float]:
     squared = queries @ cloud.T
     squared *= -2.0
     squared += np.square(cloud).sum(1)
+    squared.partition(count, axis=1)
+    squared = np.sort(squared[:, : count + 1], axis=1)
     # The smallest distance is the distance of a point to itself.
-    squared.partition([1, count], axis=1)
     squared = squared[:, [1, count]] + np.square(queries).sum(1)[:, None]
     nearest, farthest = np.sqrt(np.maximum(quantile(squared, 0.5), 0.0)).tolist()
     # A disc of radius ``farthest`` holds ``count`` points.
