@@ -57,6 +57,8 @@ def _dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
         "distributed.scheduler.allowed-failures": 0,
         "distributed.comm.timeouts.connect": "5s",
         "distributed.worker.daemon": False,
+        # A worker would keep a profile of each second of an hour, a quarter of a megabyte each.
+        "distributed.worker.profile.enabled": False,
     }
     with dask.config.set(settings):
         local: dict[str, Any] = dict(
