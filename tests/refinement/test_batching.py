@@ -285,7 +285,9 @@ def test_scenes_may_be_made_while_others_are_refined():
     rest = dict(found)
     assert sorted([number, *rest]) == list(range(9))
     assert isinstance(result, RefineResult)
-    _assert_same(rest[8], refine(POINTS + 0.008, VIEW, config=RefineConfig(steps=2)))
+    alone = refine(POINTS + 0.008, VIEW, config=RefineConfig(steps=2))
+    # Nine scenes are worth loading compiled loops, and one is not.
+    np.testing.assert_allclose(rest[8].points, alone.points, atol=1e-12)
 
 
 def test_a_consumer_who_stops_leaves_no_process(monkeypatch):
