@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,10 @@ from tso_cli.cli import main
 from tso_cli.kernels import dispatch
 
 from .scenes import EXAMPLES, example
+
+# A shell without job control lets what runs in its background ignore Ctrl-C, which tests need.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class Run(NamedTuple):
