@@ -16,8 +16,8 @@ MOST_CONTROL_POINTS = 4096
 # Weight of changing a control point's displacement. The weight of the distance between the control
 # point and where the faces carry it is 1.
 RIDGE = 0.1
-# The displacements of control points are corrected by a linear system, up to this relative error. It
-# takes about 20 steps, and moves vertices by up to 2e-5 of the longest side from the exact solution.
+# The displacements of control points are corrected by a linear system, up to this relative error.
+# It takes about 20 steps. Vertices are then within 2e-5 longest sides of the exact solution.
 SOLVED, MOST_SOLVER_STEPS = 1e-4, 500
 
 
