@@ -10,6 +10,7 @@ CATEGORIES = ("chair", "car", "airplane")
 DEFAULT = "default"  # name of the network that comes with the program, as in `--checkpoint default`
 PACKAGE = Path(__file__).resolve().parent.parent
 WEIGHTS = PACKAGE / "weights"
+DEFAULT_PRIOR = WEIGHTS / "prior.safetensors"
 
 
 def examples_folder() -> Path:

@@ -12,6 +12,7 @@ class Settings:
     """A `RefineConfig` with the preset's values in place of None.
 
     points : most control points, None for all points. seconds : how long the refinement may take.
+    prior : "learned", "none" or the file of a prior.
     given : names of the values that the caller chose.
     """
 
@@ -27,6 +28,7 @@ class Settings:
     accept_doubtful: bool
     points: int | None
     seconds: float
+    prior: str
     coarse_to_fine: CoarseToFineConfig
     given: frozenset[str]
 

@@ -12,6 +12,7 @@ import numpy as np
 from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array
 from .adam import Adam, UniformAdam
+from .learned_start import Beginning
 from .loop import Optimised, Progress, Term, minimise, offset_progress, sum_of
 from .objective import MaskChamferObjective, ViewTargets
 from .parameters import FieldParameters
@@ -28,6 +29,7 @@ class CoarseToFine:
     ----------
     problem : the cloud and its views. weights : of the given views.
     field : of the cloud at its start, with `CONTROL_POINTS` nodes; stages take coarser fields.
+    beginning : where the points are at first, and held; the start without it.
     learning_rate : the largest change of a node's vector in the first step. Smoothing makes the
         points move less.
     follow : whether windows follow the cloud from stage to stage.
@@ -41,6 +43,7 @@ class CoarseToFine:
     field: SmoothField
     config: CoarseToFineConfig
     learning_rate: float
+    beginning: Beginning | None = None
     follow: bool = True
     observations: float = 1.0
     stage_terms: Callable[[Array, Stage], list[Term]] = lambda points, stage: []
@@ -60,13 +63,14 @@ class CoarseToFine:
         """
         problem, config = self.problem, self.config
         initial, stages = problem.cloud.start, config.stages
+        held = initial if self.beginning is None else self.beginning.points
         targets = problem.targets(self.weights)
         # What is truncated in every view stays unknown, however many views there are.
         observations = 1.0 if targets.truncated else self.observations
         finest = self.field.with_nodes(max(stage.nodes for stage in stages))
-        prior = position_prior(initial, targets, finest, config, observations)
+        prior = position_prior(held, targets, finest, config, observations)
         found: list[Optimised] = []
-        points, done = initial, 0
+        points, done = held, 0
         try:
             for number, stage in enumerate(stages, 1):
                 if self.follow:
@@ -75,20 +79,17 @@ class CoarseToFine:
                     problem = problem.with_windows_around(around, stage.fine_grid)
                     if problem is not before:
                         targets = problem.targets(self.weights)
-                        prior = position_prior(initial, targets, finest, config, observations)
-                objective = sum_of(
-                    [
-                        self._mask_chamfer(targets, points, stage, finest),
-                        prior,
-                        *self.stage_terms(points, stage),
-                    ]
-                )
+                        prior = position_prior(held, targets, finest, config, observations)
+                agreement = [
+                    self._mask_chamfer(targets, points, stage, finest),
+                    *self.stage_terms(points, stage),
+                ]
                 end = round(steps * number / len(stages))
                 now = time.perf_counter()
                 found.append(
                     minimise(
                         self._parameters(points, stage, finest),
-                        objective,
+                        sum_of([*agreement, prior]),
                         end - done,
                         on_progress and offset_progress(on_progress, done, steps),
                         now + (until - now) / (len(stages) - number + 1),
@@ -104,7 +105,7 @@ class CoarseToFine:
             found[-1] = replace(found[-1], interrupted=True)
         weights = [stage.averaging_weight for stage in stages]
         weights[-1] *= observations**2
-        return _averaged(found, weights[: len(found)], initial, objective), problem
+        return _averaged(found, weights[: len(found)], initial, sum_of(agreement)), problem
 
     def _mask_chamfer(
         self, targets: ViewTargets, points: Array, stage: Stage, field: SmoothField
@@ -132,7 +133,11 @@ def network_objective(initial: Array, targets: ViewTargets) -> Term:
 def _averaged(
     stages: list[Optimised], weights: list[float], initial: Array, objective: Term
 ) -> Optimised:
-    """The stages as one: the mean of their best iterates, evaluated by the last objective."""
+    """The stages as one: the mean of their best iterates.
+
+    The ``objective`` compares it with the start: how far they agree with the views at last. It has
+    no position prior, which may hold the cloud elsewhere than at its start.
+    """
     last = stages[-1]
     # Displacements are averaged, not positions, so that unmoved points stay the same to the bit.
     displacements = [stage.best - initial for stage in stages]

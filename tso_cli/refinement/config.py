@@ -55,6 +55,9 @@ class RefineConfig:
     points : most control points: points that move by themselves, while the others follow (16 to
         16,384; of a mesh at most 4,096). With "best" in points mode the default is 1,024, or 512
         with a budget of less than 0.3 seconds a view. Otherwise all points move.
+    prior : what is known about shapes of the cloud's kind: "learned", the prior that comes with the
+        program; "none"; or the path of a file that `tso train --prior` has written. The default is
+        "learned" with "best" in points mode, else "none".
     coarse_to_fine : settings of the preset "best" in points mode, for ablations.
 
     The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
@@ -79,6 +82,7 @@ class RefineConfig:
     accept_doubtful: bool = False
     budget: Literal["auto"] | float = "auto"
     points: int | None = None
+    prior: str | None = None
     coarse_to_fine: CoarseToFineConfig = BEST
 
     def __post_init__(self) -> None:
@@ -104,6 +108,7 @@ class RefineConfig:
         staged_only = {
             "coarse_to_fine": self.coarse_to_fine is not BEST,
             "points": self.points is not None,
+            "prior": self.prior not in (None, "none"),
         }
         for name, used in staged_only.items():
             if used and (self.preset, self.mode) != ("best", "points"):
@@ -154,6 +159,7 @@ class RefineConfig:
             gamma=preset.gamma,
             symmetry="auto" if staged else "none",
             sigma_sq=SIGMA_SQ,
+            prior="learned" if staged else "none",
             points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if staged else None,
         )
         chosen = {

@@ -16,6 +16,7 @@ from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import WeighedProblem, optimise, steps_for, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
+from ..prior import named_prior
 from .clock import Clock
 from .judge import judge
 from .result import RefineResult
@@ -38,6 +39,7 @@ def run(
     masks do not meet or cannot be used, and TsoError as `judge`.
     """
     with clock.phase("prepare"):
+        prior = named_prior(settings.prior)
         cloud = scene.cloud.controlled(settings.points, scene.views)
         diagnosis = _examined(scene, cloud, settings)
         problem = prepare(cloud, scene.views, settings)
@@ -50,7 +52,7 @@ def run(
     steps = 0 if clock.interrupted else settings.steps
     with clock.phase("optimise"):
         until = clock.until(settings.seconds)
-        optimised, problem = optimise(weighed, settings, steps, network, report, until)
+        optimised, problem = optimise(weighed, settings, steps, network, prior, report, until)
     if clock.interrupted:
         optimised = replace(optimised, interrupted=True)
     with clock.phase("judge"):

@@ -1,0 +1,68 @@
+"""Where the optimisation begins: the start of a cloud, moved by the learned prior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..cloud.smooth_field import SmoothField
+from ..geometry.arrays import Array
+from ..prior import Frame, LearnedPrior, SeenCloud, Shown
+from .objective import MaskChamferObjective
+from .prior import START_ROBUST_SCALE
+from .problem import Problem
+
+# How often the network looks at the cloud; each time it sees where the cloud has got to.
+PASSES = 2
+# The root mean square of the first step, in longest sides: a start that is right is asked to move
+# by less than the first, another shape by more than the second. Between them the step is scaled.
+RIGHT, OTHER = 0.006, 0.012
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """Where an optimisation begins.
+
+    points : [N, 3]. moved : root mean square of the first step that the prior asked for, in longest
+        sides; 0 without a prior.
+    """
+
+    points: Array
+    moved: float = 0.0
+
+
+def beginning(
+    problem: Problem, weights: Sequence[float], field: SmoothField, prior: LearnedPrior | None
+) -> Beginning:
+    """The start of the ``problem``, moved as the ``prior`` asks for where the masks agree.
+
+    ``weights`` are of the given views; ``field`` is of the start.
+    """
+    start = problem.cloud.start
+    if prior is None:
+        return Beginning(start)
+    all_weights = problem.all_weights(weights)
+    targets = problem.targets(weights)
+    objective = MaskChamferObjective(
+        targets, START_ROBUST_SCALE, targets.resolvability(start, field)
+    )
+    frame = Frame.of(start)
+    shown = [
+        Shown.of(view.camera, view.target, view.known, frame, weight)
+        for view, weight in zip(problem.resampled, all_weights, strict=True)
+        if weight > 0.0
+    ]
+    seen = SeenCloud(start, frame, shown)
+    points, lowest, moved, taken = start, objective(start)[0], 0.0, 1.0
+    for number in range(PASSES):
+        step = seen.step(prior, points)
+        if number == 0:
+            moved = float(np.sqrt(np.square(step).sum(1).mean()) / frame.scale)
+            taken = float(np.clip((moved - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
+        loss = objective(points + taken * step)[0] if taken else np.inf
+        if not loss < lowest:
+            break
+        points, lowest = points + taken * step, loss
+    return Beginning(points, moved)
