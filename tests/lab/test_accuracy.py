@@ -75,7 +75,7 @@ def test_the_bound_is_a_ratio_of_means():
     (group,) = conclude(cases)["summary"]["other"].values()
     assert group["bound_ratio"] == pytest.approx((0.7 + 0.9) / (1.0 + 3.0))
     (aim,) = (claim for claim in conclude(cases)["claims"] if "car: best: ratio" in claim["claim"])
-    assert "bound 0.40" in aim["found"]
+    assert "bound of one mask 0.40" in aim["found"]
 
 
 def test_a_start_that_is_right_has_no_bound():

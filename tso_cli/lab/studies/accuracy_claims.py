@@ -69,7 +69,7 @@ def _aims(kind: str, cases: Cases) -> list[Record]:
         against = [f"the paper's preset {_ratio_after(group, PAPER):.3f}"]
         if all("bound" in case for case in group):
             bound = ratio_of_means(group, (case["bound"] for case in group))
-            against.append(f"bound {bound:.2f}")
+            against.append(f"bound of one mask {bound:.2f}")
         floor = ratio_of_means(group, (case["before"]["floor"] for case in group))
         against.append(f"sampling floor {floor:.2f}")
         for variant, aim in AIMS[kind][category].items():
