@@ -130,6 +130,7 @@ def types() -> str:
             f"{row['mean_ratio']:.2f}",
             f"{row['worst_ratio']:.2f}",
             str(row["worse"]),
+            f"{group['bound_ratio']:.2f}" if "bound_ratio" in group else "-",
             f"{before['floor_ratio']:.2f}",
         )
         measures = (
@@ -143,6 +144,7 @@ def types() -> str:
         "mean",
         "worst",
         "made worse",
+        "bound",
         "floor",
         "F-score",
         "IoU",
