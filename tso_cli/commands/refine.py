@@ -73,6 +73,13 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     help="How much work to spend: `auto` (from the scene), or a limit in seconds.",
 )
 @click.option(
+    "--prior",
+    type=options.FilePath(*options.WORDS["prior"]),
+    metavar="learned|none|FILE",
+    help="What is known about shapes of this kind: the shipped prior, nothing, or a prior of "
+    "tso train --prior.  [default: learned; paper and network modes: none]",
+)
+@click.option(
     "--points",
     type=options.AutoOrInteger(),
     metavar="auto|N",
@@ -110,7 +117,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 )
 @click.option(
     "--checkpoint",
-    type=PATH,
+    type=options.FilePath(*options.WORDS["checkpoint"]),
     help="File of tso train, or `default`, the shipped network.  [default: default]",
 )
 @click.option(
@@ -128,7 +135,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 )
 @click.option(
     "--camera",
-    type=options.CameraPath(),
+    type=options.FilePath(*options.WORDS["camera"]),
     help="Camera file or folder of tso or another program. `fit` estimates the camera of a single "
     "mask.  [default: MASKSTEM.camera.json, camera.json, cameras.json or transforms.json next to "
     "the mask, else a canonical camera]",

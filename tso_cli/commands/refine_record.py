@@ -86,11 +86,13 @@ def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     def stored(value: Any) -> Any:
         if isinstance(value, (tuple, list)):
             return [stored(one) for one in value]
-        if not isinstance(value, Path) or value == options.FIT:
-            return str(value) if isinstance(value, Path) else value
-        return relative(value, folder)
+        return relative(value, folder) if isinstance(value, Path) else value
 
-    return {name: stored(value) for name, value in given.items() if name not in OF_RUN}
+    return {
+        name: str(value) if str(value) in options.WORDS.get(name, ()) else stored(value)
+        for name, value in given.items()
+        if name not in OF_RUN
+    }
 
 
 def relative(path: Path, folder: Path) -> str:
@@ -268,7 +270,7 @@ def in_folder(value: Any, parameter: click.Parameter, folder: Path) -> Any:
     """``value`` with paths that are relative to ``folder``, if the parameter takes paths."""
     if isinstance(value, (list, tuple)):
         return [in_folder(one, parameter, folder) for one in value]
-    is_path = isinstance(parameter.type, options.FilePath) and isinstance(value, str)
-    if not is_path or "://" in value or Path(value) in (options.FIT, Path("default")):
+    kind = parameter.type
+    if not isinstance(kind, options.FilePath) or not isinstance(value, str):
         return value
-    return str(folder / value)
+    return value if "://" in value or value in kind.words else str(folder / value)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..cloud.smooth_field import falling_weights
 from ..geometry.arrays import Array, Indices
+from ..io.shipped import LEARNED, NO_PRIOR
 from ..losses.nearest import nearest_few
 from .backend import NUMPY
 from .features import DENSE, INTERPOLATED_FROM, NODES, features
@@ -42,9 +43,9 @@ class LearnedPrior:
 
 def named_prior(name: str) -> LearnedPrior | None:
     """The prior of a name: "learned", "none" or a file; InputError as `read_prior`."""
-    if name == "none":
+    if name == NO_PRIOR:
         return None
-    path = shipped_prior() if name == "learned" else Path(name)
+    path = shipped_prior() if name == LEARNED else Path(name)
     return _read(path, path.stat().st_mtime_ns if path.is_file() else 0)
 
 

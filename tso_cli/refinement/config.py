@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from ..cloud.control_points import CONTROL_POINTS
 from ..errors import InputError
 from ..geometry.points import CANDIDATES
+from ..io.shipped import LEARNED, NO_PRIOR
 from ..optimisation.presets import (
     BEST,
     DEFAULTS,
@@ -82,7 +84,7 @@ class RefineConfig:
     accept_doubtful: bool = False
     budget: Literal["auto"] | float = "auto"
     points: int | None = None
-    prior: str | None = None
+    prior: str | Path | None = None
     coarse_to_fine: CoarseToFineConfig = BEST
 
     def __post_init__(self) -> None:
@@ -108,7 +110,7 @@ class RefineConfig:
         staged_only = {
             "coarse_to_fine": self.coarse_to_fine is not BEST,
             "points": self.points is not None,
-            "prior": self.prior not in (None, "none"),
+            "prior": self.prior is not None and str(self.prior) != NO_PRIOR,
         }
         for name, used in staged_only.items():
             if used and (self.preset, self.mode) != ("best", "points"):
@@ -159,7 +161,7 @@ class RefineConfig:
             gamma=preset.gamma,
             symmetry="auto" if staged else "none",
             sigma_sq=SIGMA_SQ,
-            prior="learned" if staged else "none",
+            prior=LEARNED if staged else NO_PRIOR,
             points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if staged else None,
         )
         chosen = {
@@ -167,4 +169,6 @@ class RefineConfig:
             for name, value in vars(self).items()
             if value is not None and name != "budget"
         }
+        if "prior" in chosen:
+            chosen["prior"] = str(chosen["prior"])
         return Settings(**(defaults | chosen), seconds=seconds, given=frozenset(chosen))

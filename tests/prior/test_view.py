@@ -1,0 +1,142 @@
+"""What a view shows, in its own axes."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial.transform import Rotation
+
+from tests.scenes import seen
+from tso_cli import Camera, View
+from tso_cli.losses.mask_chamfer import MaskTarget
+from tso_cli.prior import Frame, LearnedPrior, SeenCloud, Shown
+from tso_cli.prior.features import CELL, GRID, HALF
+from tso_cli.prior.view import signed_distance, turn_to_front
+from tso_cli.render import look_at
+
+from .common import some_weights
+
+CENTRES = (np.arange(GRID) + 0.5) * CELL - HALF
+
+
+def ball_in(camera, centre=(0.0, 0.0, 0.0), radius=0.4):
+    """The view of a ball: the pixels whose rays hit it."""
+    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    plane = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(camera.K).T
+    middle = camera.R @ centre + camera.t
+    if camera.model == "perspective":
+        plane /= np.linalg.norm(plane, axis=-1, keepdims=True)
+        off = middle - (plane @ middle)[..., None] * plane
+    else:
+        off = plane[..., :2] - middle[:2]
+    return View(np.float32(np.linalg.norm(off, axis=-1) < radius), camera)
+
+
+def assert_disc(shown, radius, tolerance):
+    """In the picture; beyond its border distances are as large as they can be."""
+    away = np.hypot(*np.meshgrid(CENTRES, CENTRES))
+    inner = away < 0.5
+    np.testing.assert_allclose(shown.distance[inner], away[inner] - radius, atol=tolerance)
+
+
+def shown(view, frame, known=None):
+    return Shown.of(view.camera, MaskTarget.of(view.mask), known, frame)
+
+
+def test_the_distance_to_a_mask_is_the_euclidean_one():
+    rng = np.random.default_rng(3)
+    inside = rng.random((20, 30)) > 0.7
+    expected = np.where(
+        inside, 0.5 - distance_transform_edt(inside), distance_transform_edt(~inside) - 0.5
+    )
+    np.testing.assert_allclose(signed_distance(inside), expected)
+
+
+@given(
+    st.tuples(*[st.floats(-3.0, 3.0)] * 3).filter(lambda v: v[2] > 0.1 - 0.999 * np.linalg.norm(v))
+)
+def test_the_least_rotation_turns_a_direction_to_the_front(direction):
+    turn = turn_to_front(np.array(direction))
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+    front = turn @ direction / np.linalg.norm(direction)
+    np.testing.assert_allclose(front, [0.0, 0.0, 1.0], atol=1e-9)
+
+
+def test_a_ball_is_seen_as_a_disc_in_units_of_the_cloud():
+    """From 2 away a ball of radius .4 covers .4 / sqrt(1 - .04) of the plane through its middle."""
+    camera = look_at(30.0, 20.0, 2.0, (256, 256))
+    view = ball_in(camera)
+    found = shown(view, Frame(np.zeros(3), 1.0))
+    assert found.closeness == pytest.approx(0.5)
+    assert_disc(found, 0.4 / np.sqrt(0.96), 0.012)
+    np.testing.assert_allclose(np.linalg.norm(found.cells, axis=1).max(), 0.4, atol=0.05)
+
+
+def test_a_cloud_off_the_axis_and_of_another_size_is_seen_in_the_middle():
+    offset = np.array([0.3, -0.2, 0.1])
+    camera = look_at(30.0, 20.0, 6.0, (256, 256))
+    view = ball_in(camera, offset, 0.8)
+    found = shown(view, Frame(offset, 2.0))
+    assert_disc(found, 0.4 / np.sqrt(1.0 - (0.4 * found.closeness) ** 2), 0.012)
+
+
+def test_an_orthographic_camera_has_no_closeness():
+    K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 31.5], [0.0, 0.0, 1.0]])
+    camera = Camera(K, np.eye(3), [0.0, 0.0, 5.0], 64, 64, "orthographic")
+    found = shown(ball_in(camera), Frame(np.zeros(3), 1.0))
+    assert found.closeness == 0.0
+    assert_disc(found, 0.4, 0.025)
+
+
+def test_beyond_the_border_of_a_truncated_picture_nothing_is_known():
+    K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 31.5], [0.0, 0.0, 1.0]])
+    camera = Camera(K, np.eye(3), [0.5, 0.0, 5.0], 64, 64, "orthographic")
+    view = ball_in(camera)
+    assert view.truncated
+    target = MaskTarget.of(view.mask, truncated=True)
+    found = Shown.of(view.camera, target, None, Frame(np.zeros(3), 1.0))
+    # The right border of the picture is at 32 / 50 - 0.5 in units of the cloud.
+    np.testing.assert_array_equal(found.known[GRID // 2], CENTRES < 0.14)
+    assert found.cells[:, 0].max() < 0.14
+
+
+def test_the_frame_of_a_cloud_leaves_out_single_points_and_follows_a_turn():
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3)) * [1.0, 0.3, 0.2]
+    frame = Frame.of(points)
+    assert frame.scale == pytest.approx(1.0, abs=0.03)
+    with_one = Frame.of(np.concatenate([points, [[4.0, 0.0, 0.0]]]))
+    assert with_one.scale == pytest.approx(frame.scale, abs=0.01)
+    turn = Rotation.from_euler("xyz", [40.0, 30.0, 50.0], degrees=True).as_matrix()
+    turned = Frame.of(points @ turn.T + [1.0, 2.0, 3.0])
+    assert turned.scale == pytest.approx(frame.scale, abs=0.05)
+    np.testing.assert_allclose(turned.centre, turn @ frame.centre + [1.0, 2.0, 3.0], atol=0.05)
+
+
+def test_a_cloud_and_a_camera_that_are_turned_together_move_alike():
+    prior = LearnedPrior(some_weights(), {})
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-0.5, 0.5, (512, 3)) * [1.0, 0.5, 0.4]
+    view = seen(1.1 * points, look_at(30.0, 20.0, 2.5, (64, 64)))
+    turn = Rotation.from_euler("xyz", [20.0, 130.0, 50.0], degrees=True).as_matrix()
+    camera = Camera(view.camera.K, view.camera.R @ turn.T, view.camera.t, 64, 64)
+    steps = []
+    for cloud, seen_by in ((points, view.camera), (points @ turn.T, camera)):
+        frame = Frame(np.zeros(3), 1.0)
+        of_view = Shown.of(seen_by, MaskTarget.of(view.mask), None, frame)
+        # The same points are nodes, whichever way the curve runs.
+        scene = SeenCloud(cloud, frame, [of_view])
+        scene.__dict__["_chosen"] = np.arange(512)
+        steps.append(scene.step(prior, cloud))
+    np.testing.assert_allclose(steps[1], steps[0] @ turn.T, atol=1e-9)
+    assert np.abs(steps[0]).max() > 0.01
+
+
+def test_points_of_the_sample_are_as_dense_as_the_cloud():
+    """A tenth of the points is spread over ten times the length of the others."""
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.uniform(0.0, 0.1, (4500, 3)), rng.uniform(0.0, 1.0, (500, 3))])
+    chosen = SeenCloud(points, Frame(np.zeros(3), 1.0), [])._chosen
+    assert len(set(chosen)) == 512
+    assert (chosen >= 4500).mean() == pytest.approx(0.1, abs=0.03)
+    assert (chosen[:128] >= 4500).mean() == pytest.approx(0.1, abs=0.05)
