@@ -107,23 +107,6 @@ class SmoothField:
         """[N]: for each point the value [M] of its nearest node."""
         return values[self._index[:, 0]]
 
-    def averaged(self, values: Array, weight: float) -> Array:
-        """[N], ``values`` [N] averaged around each point.
-
-        The mean at a node is ``(I + weight L)^-1`` of the nodes' sums, divided by the smoothed
-        counts of the nodes. A point takes the mean at its nearest node.
-        """
-        owner = self._index[:, 0]
-        sums = np.stack(
-            [
-                np.bincount(owner, part, len(self.nodes)).astype(float)
-                for part in (values, np.ones_like(values))
-            ],
-            1,
-        )
-        total, count = self.smoothed(sums, weight).T
-        return self.of_nearest_node(total / np.maximum(count, np.finfo(float).tiny))
-
 
 def _patches(nodes: Array) -> Indices:
     """[M, 12], for each node itself and its nearest nodes; itself again if there are fewer."""

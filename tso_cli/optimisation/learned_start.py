@@ -25,12 +25,13 @@ RIGHT, OTHER = 0.006, 0.012
 class Beginning:
     """Where an optimisation begins.
 
-    points : [N, 3]. moved : root mean square of the first step that the prior asked for, in longest
-        sides; 0 without a prior.
+    points : [N, 3].
+    rightness : in [0, 1], how far the learned prior finds that the start is right already; 0
+        without a learned prior.
     """
 
     points: Array
-    moved: float = 0.0
+    rightness: float = 0.0
 
 
 def beginning(
@@ -55,7 +56,7 @@ def beginning(
         if weight > 0.0
     ]
     seen = SeenCloud(start, frame, shown)
-    points, lowest, moved, taken = start, objective(start)[0], 0.0, 1.0
+    points, lowest, taken = start, objective(start)[0], 1.0
     for number in range(PASSES):
         step = seen.step(prior, points)
         if number == 0:
@@ -65,4 +66,4 @@ def beginning(
         if not loss < lowest:
             break
         points, lowest = points + taken * step, loss
-    return Beginning(points, moved)
+    return Beginning(points, 1.0 - taken)

@@ -51,7 +51,7 @@ def steps_for(weighed: WeighedProblem, settings: Settings) -> int:
     problem = weighed.problem
     if not settings.staged or "steps" in settings.given or not problem.several_large:
         return settings.steps
-    loss, _ = start_loss(problem.cloud.start, problem.targets(weighed.weights.loss))
+    loss = start_loss(problem.cloud.start, problem.targets(weighed.weights.loss))
     return settings.steps * (MORE_STEPS if loss > BAD_START else 1)
 
 

@@ -112,7 +112,7 @@ class CoarseToFineConfig:
         prior_weight / e^prior_decay.
     least_prior_weight : the least prior weight for one view.
     truncated_prior : factor of the prior where the image border truncates the object in every view.
-    local_prior : whether a part of the cloud that fits badly is held less than the rest.
+    firmness : factor of the prior where the learned prior finds that the start is right.
     uniform_adam : whether Adam's step has one scale for the whole cloud (`UniformAdam`), or one
         for each number.
     use_resolvability : whether parts that are too thin for the pixels are left out of the loss of
@@ -124,7 +124,7 @@ class CoarseToFineConfig:
     prior_decay: float = 1.0
     least_prior_weight: float = 200.0
     truncated_prior: float = 3.0
-    local_prior: bool = True
+    firmness: float = 16.0
     uniform_adam: bool = True
     use_resolvability: bool = True
 
@@ -138,7 +138,6 @@ NETWORK = CoarseToFineConfig(
     prior_weight=500.0,
     prior_decay=0.5,
     least_prior_weight=30.0,
-    local_prior=False,
 )
 # Two short optimisations are compared to verify a hypothesis. They have one loosely held stage: a
 # strong prior would hide how they differ.
@@ -146,7 +145,6 @@ COMPARISON = CoarseToFineConfig(
     stages=(Stage(10.0, 6.0, nodes=512),),
     prior_weight=350.0,
     least_prior_weight=30.0,
-    local_prior=False,
 )
 COMPARISON_STEPS = 20
 

@@ -63,14 +63,14 @@ class CoarseToFine:
         """
         problem, config = self.problem, self.config
         initial, stages = problem.cloud.start, config.stages
-        held = initial if self.beginning is None else self.beginning.points
+        begin = self.beginning or Beginning(initial)
         targets = problem.targets(self.weights)
         # What is truncated in every view stays unknown, however many views there are.
         observations = 1.0 if targets.truncated else self.observations
         finest = self.field.with_nodes(max(stage.nodes for stage in stages))
-        prior = position_prior(held, targets, finest, config, observations)
+        prior = position_prior(begin.points, targets, config, observations, begin.rightness)
         found: list[Optimised] = []
-        points, done = held, 0
+        points, done = begin.points, 0
         try:
             for number, stage in enumerate(stages, 1):
                 if self.follow:
@@ -79,7 +79,9 @@ class CoarseToFine:
                     problem = problem.with_windows_around(around, stage.fine_grid)
                     if problem is not before:
                         targets = problem.targets(self.weights)
-                        prior = position_prior(held, targets, finest, config, observations)
+                        prior = position_prior(
+                            begin.points, targets, config, observations, begin.rightness
+                        )
                 agreement = [
                     self._mask_chamfer(targets, points, stage, finest),
                     *self.stage_terms(points, stage),
@@ -124,7 +126,7 @@ class CoarseToFine:
 def network_objective(initial: Array, targets: ViewTargets) -> Term:
     """The objective of "best" in the network modes: mask Chamfer loss and position prior."""
     field = SmoothField(initial)
-    prior = position_prior(initial, targets, field, NETWORK)
+    prior = position_prior(initial, targets, NETWORK)
     (stage,) = NETWORK.stages
     resolvability = targets.resolvability(initial, field)
     return sum_of([MaskChamferObjective(targets, stage.robust_scale, resolvability), prior])
