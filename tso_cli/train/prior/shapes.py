@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from collections import Counter
 from collections.abc import Callable, Collection
@@ -67,6 +68,15 @@ class ShapeSet:
         kinds = Counter({shape.kind: shape.category for shape in self.shapes}.values())
         weights = [kinds[shape.category] ** -0.5 / variants[shape.kind] for shape in self.shapes]
         return np.array(weights) / sum(weights)
+
+    def fingerprint(self) -> str:
+        """Changes when a shape does."""
+        digest = hashlib.sha256()
+        for shape in self.shapes:
+            digest.update(f"{shape.name} {shape.kind} {shape.mirror_axis}".encode())
+            for array in (shape.vertices, shape.faces, shape.samplings):
+                digest.update(array.tobytes())
+        return digest.hexdigest()[:16]
 
 
 def read_shapes(
