@@ -108,6 +108,30 @@ def save_training(
     write_file(path, prior, overwrite)
 
 
+def check_resumable(path: Path, config: PriorConfig) -> dict[str, Any]:
+    """What is known about the training of the prior ``path``, as `save_training` wrote it.
+
+    Raises InputError if there is no state of a training with the same settings.
+    """
+    file = state_path(path)
+    if not file.exists():
+        raise InputError(
+            f"{file}: does not exist, expected the state of an unfinished training to resume"
+        )
+    about = read_about(file, FORMAT)
+    step, settings = about.get("step"), about.get("settings")
+    if not isinstance(step, int) or isinstance(step, bool) or step < 0:
+        raise InputError(f"{file}: step in the state is {shown(step)}, expected a whole number")
+    for name, value in config.settings().items():
+        before = settings.get(name) if isinstance(settings, dict) else None
+        if before != value:
+            raise InputError(
+                f"{file}: was trained with `{name}` {shown(before)}, this run asks for {value}; "
+                "expected the same settings to resume"
+            )
+    return about
+
+
 def load_training(
     path: Path,
     config: PriorConfig,
@@ -117,19 +141,11 @@ def load_training(
 ) -> PriorState:
     """Read the state of the prior ``path``; training continues from it bit for bit.
 
-    ``initial`` has the names and shapes of the weights. Raises InputError if there is no state, if
-    it is damaged, or if it comes from a training with other settings or other shapes.
+    ``initial`` has the names and shapes of the weights. Raises InputError as `check_resumable`, and
+    if the state is damaged or comes from a training on other shapes.
     """
-    file = state_path(path)
-    if not file.exists():
-        raise InputError(
-            f"{file}: does not exist, expected the state of an unfinished training to resume"
-        )
-    about = read_about(file, FORMAT)
-    step = about.get("step")
-    if not isinstance(step, int) or isinstance(step, bool) or step < 0:
-        raise InputError(f"{file}: step in the state is {shown(step)}, expected a whole number")
-    _require_same(file, about.get("settings"), config)
+    about, file = check_resumable(path, config), state_path(path)
+    step = about["step"]
     if about.get("fingerprint") != fingerprint:
         found = f"was trained on other shapes ({shown(about.get('training_set'))})"
         raise InputError(f"{file}: {found}, expected the same shapes to resume")
@@ -146,17 +162,6 @@ def load_training(
         state.optimiser.state[weight] = {"step": done, **moments}
         state.average[name] = tensors[f"average.{name}"].to(device)
     return state
-
-
-def _require_same(file: Path, stored: Any, config: PriorConfig) -> None:
-    """InputError if the ``stored`` settings differ from those of this run."""
-    for name, value in config.settings().items():
-        before = stored.get(name) if isinstance(stored, dict) else None
-        if before != value:
-            raise InputError(
-                f"{file}: was trained with `{name}` {shown(before)}, this run asks for {value}; "
-                "expected the same settings to resume"
-            )
 
 
 def write_history(
