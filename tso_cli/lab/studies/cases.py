@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import render
+from ...datasets.variants import shape_type
 from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.camera import CANONICAL_ROTATION
@@ -20,7 +21,7 @@ from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
 from ...render import RayScene, RenderSettings
 from ...scene.network import network_scene
-from .shapes import Shape, shape_type, shapes_of_part
+from .shapes import Shape, shapes_of_part
 
 KINDS = ("other", "near", "cut", "right", "network")
 """Where the start is from:

@@ -86,12 +86,6 @@ def shapes_of_part(
     return [Shape(name, meshes[name]) for name in chosen]
 
 
-def shape_type(stem: str) -> str:
-    """The name that variants of one object share: `fg_767_763` and `fg_767_767` are `fg_767`."""
-    parts = stem.split("_")
-    return "_".join(parts[:2]) if parts[0] == "fg" and len(parts) > 2 else stem
-
-
 def see(shape: Shape, settings: render.RenderSettings, seed: int) -> RenderedShape:
     """Render a shape; everything random depends on ``seed`` and the shape's name alone."""
     rng = np.random.default_rng([seed, zlib.crc32(shape.name.encode())])
