@@ -73,19 +73,6 @@ def test_the_optimiser_gets_the_gradient_by_the_values_at_the_nodes(form, count)
     in_form(form, run)
 
 
-@FORMS
-@pytest.mark.parametrize("count", [300, CONTROL_POINTS + 500])
-def test_averages_spread_a_peak_to_its_neighbours_and_keep_a_constant(count, form):
-    cloud = _cloud(count)
-    field = in_form(form, SmoothField, cloud)
-    np.testing.assert_allclose(in_form(form, field.averaged, np.ones(count), 1.0), 1.0, atol=1e-10)
-    order = np.linalg.norm(cloud - cloud[0], axis=1).argsort()
-    peak = np.isin(np.arange(count), order[:10]).astype(float)
-    around = in_form(form, field.averaged, peak, 1.0)
-    assert around[order[:10]].mean() > 0.2
-    assert around[order[count // 2 :]].max() < 0.01
-
-
 def test_points_of_a_large_cloud_follow_their_nodes():
     points = _cloud(5000)
     field = SmoothField(points)

@@ -104,25 +104,28 @@ def test_views_that_all_truncate_the_object_are_no_more_observations_than_one(ch
 def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
     for view, factor in ((_truncated(chair.view), 3.0), (chair.view, 1.0)):
         held, loose = (
-            _prior(chair.points, view, truncated_prior=prior)[0].weights for prior in (3.0, 1.0)
+            _prior(chair.points, view, truncated_prior=prior)[0].weight for prior in (3.0, 1.0)
         )
-        np.testing.assert_allclose(held, factor * loose)
+        assert held == pytest.approx(factor * loose)
 
 
 def _prior(
-    points: np.ndarray, view: View, observations: float = 1.0, **settings: object
+    points: np.ndarray,
+    view: View,
+    observations: float = 1.0,
+    rightness: float = 0.0,
+    **settings: object,
 ) -> tuple[PositionPrior, ViewTargets]:
     problem = problem_of(points, view)
     start, targets, config = problem.cloud.start, problem.targets([1.0]), replace(BEST, **settings)
-    return position_prior(start, targets, SmoothField(start), config, observations), targets
+    return position_prior(start, targets, config, observations, rightness), targets
 
 
 def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
     prior, _ = _prior(chair.points[::40], chair.view)
     moved = prior.initial + np.random.default_rng(0).normal(size=prior.initial.shape)
-    assert prior(moved)[0] == pytest.approx(
-        (prior.weights * np.square(moved - prior.initial).sum(1)).sum()
-    )
+    squares = np.square(moved - prior.initial).sum()
+    assert prior(moved)[0] == pytest.approx(prior.weight * squares)
     assert_gradient(prior, moved)
     assert prior(prior.initial)[0] == 0.0
 
@@ -130,31 +133,34 @@ def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
 def test_a_worse_start_is_held_less_and_more_observations_lower_the_least_weight(chair):
     points = chair.points
     # Stated for 1,024 points. e is the mean loss per mask pixel at the robust scale 4.
-    prior, targets = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0)
+    prior, targets = _prior(points, chair.view, least_prior_weight=0.0)
     e = MaskChamferObjective(targets, 4.0)(prior.initial)[0] / targets.pixels
-    np.testing.assert_allclose(prior.weights, 300.0 / e * 1024.0 / len(points))
-    half = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0, prior_decay=0.5)[0]
-    np.testing.assert_allclose(half.weights, 300.0 / np.sqrt(e) * 1024.0 / len(points))
+    assert prior.weight == pytest.approx(300.0 / e * 1024.0 / len(points))
+    half = _prior(points, chair.view, least_prior_weight=0.0, prior_decay=0.5)[0]
+    assert half.weight == pytest.approx(300.0 / np.sqrt(e) * 1024.0 / len(points))
     for count in (1.0, 2.0):
-        least = _prior(points, chair.view, count, local_prior=False, least_prior_weight=1e6)[0]
-        np.testing.assert_allclose(least.weights, 1e6 / count**2 * 1024.0 / len(points))
+        least = _prior(points, chair.view, count, least_prior_weight=1e6)[0]
+        assert least.weight == pytest.approx(1e6 / count**2 * 1024.0 / len(points))
     # Even a perfect start is held no more than where e = 0.1.
     square = np.stack(np.meshgrid(np.arange(26, 38, 0.5), np.arange(26, 38, 0.5)), -1).reshape(
         -1, 2
     )
     flat = np.concatenate([(square - 31.5) / 60.0 * [1.0, -1.0], np.zeros((len(square), 1))], 1)
     exact = _prior(flat, View(block(np.s_[26:38, 26:38]), Camera.canonical(64, 64)))[0]
-    np.testing.assert_allclose(exact.weights, 300.0 / 0.1 * 1024.0 / len(flat))
+    assert exact.weight == pytest.approx(300.0 / 0.1 * 1024.0 / len(flat))
 
 
-def test_a_part_that_fits_badly_is_held_less_than_the_rest():
-    """A sheet whose right third lies outside the mask."""
-    x, y = np.meshgrid(np.linspace(-0.3, 0.3, 24), np.linspace(-0.2, 0.2, 16))
-    sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    view = View(block(np.s_[19:45, 13:38]), Camera.canonical(64, 64))
-    weights = _prior(sheet, view, least_prior_weight=0.0)[0].weights
-    assert weights[sheet[:, 0] > 0.25].max() < 0.5 * weights[sheet[:, 0] < 0.0].min()
-    assert np.ptp(_prior(sheet, view, least_prior_weight=0.0, local_prior=False)[0].weights) == 0.0
+def test_a_start_that_is_right_is_held_firmly_unless_it_fits_badly(chair):
+    """The chair fits its mask badly; half as large a loss is under the limit."""
+    near, far = chair.points + [0.01, 0.0, 0.0], chair.points + [0.2, 0.0, 0.0]
+    view = seen(chair.points, chair.view.camera)
+    for points, factor in ((near, 16.0), (far, 1.0)):
+        loose, half, firm = (
+            _prior(points, view, rightness=right, least_prior_weight=0.0)[0].weight
+            for right in (0.0, 0.5, 1.0)
+        )
+        assert firm == pytest.approx(factor * loose)
+        assert half == pytest.approx(np.sqrt(factor) * loose)
 
 
 def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():

@@ -15,7 +15,7 @@ from .presets import CoarseToFineConfig
 START_ROBUST_SCALE = 4.0
 # Least loss of the start that the prior weight is computed from, px^2 per mask pixel.
 LEAST_LOSS = 0.1
-# A start whose mean loss, px^2 per mask pixel, is over this is not right, whatever the learned prior
+# A start with a mean loss over this, px^2 per mask pixel, is not right, whatever the learned prior
 # says of it.
 BAD_FIT = 1.0
 

@@ -16,7 +16,7 @@ from .network import shapes
 
 FORMAT = "tso-prior-1"
 METADATA_KEY = "tso"
-EXPECTED = "a learned prior, as `tso train --prior` writes"
+EXPECTED = "a learned prior, as tso train writes it"
 # A prior has about 1.4 MB.
 LARGEST = 64 << 20
 
@@ -30,10 +30,10 @@ def packed_prior(weights: Arrays, about: dict[str, Any]) -> bytes:
     """
     from safetensors.numpy import save
 
-    halves = {name: np.asarray(weights[name], np.float16) for name in shapes()}
-    for name, array in halves.items():
-        if not np.isfinite(array).all():
+    for name, array in weights.items():
+        if not (np.abs(array) <= np.finfo(np.float16).max).all():
             raise InputError(f"tensor {name} holds a number that is too large for half precision")
+    halves = {name: np.asarray(weights[name], np.float16) for name in shapes()}
     document = json.dumps({"format": FORMAT, **about}, allow_nan=False, sort_keys=True)
     return bytes(save(halves, {METADATA_KEY: document}))
 
@@ -79,7 +79,7 @@ def shipped_prior() -> Path:
     if not DEFAULT_PRIOR.is_file():
         raise InputError(
             f"{DEFAULT_PRIOR}: the shipped prior is not in this installation, expected it there "
-            "(or give `prior` FILE or none)"
+            "(or name a file, or none)"
         )
     return DEFAULT_PRIOR
 

@@ -65,7 +65,7 @@ class SeenCloud:
 
     @cached_property
     def _chosen(self) -> Indices:
-        """Up to `DENSE` points, of which the first `NODES` are the nodes.
+        """Up to `DENSE` points, the first `NODES` of them the nodes.
 
         They keep the density of the cloud: evenly spread points would give single points and sparse
         parts too large a share.

@@ -15,8 +15,8 @@ from .backend import Backend
 from .features import LATTICE, MAPS, OF_NODE, OF_VIEW, Features
 
 Weights = Mapping[str, Any]
-# Channels of the convolutions, of which the last has 5x5 cells; length of the vector that sums up a
-# view, and of the layer before it; numbers of a node; channels that return to the maps.
+# Channels of the convolutions; cells of the last one; length of the vector that sums up a view, and
+# of the layer before it; numbers of a node; channels that return to the maps.
 CHANNELS, CELLS = (16, 24, 40), 25
 SUMMARY, BEFORE_SUMMARY, WIDTH, RETURNED = 160, 320, 128, 16
 # Displacements are a small share of the cloud's size.
