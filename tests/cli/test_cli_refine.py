@@ -58,7 +58,8 @@ def test_json_is_one_document_with_all_promised_entries(folder, refine):
     ).document
     promised = (
         "mode preset output overlay camera views assume steps best_step stop_reason losses "
-        "iou_before iou_after loss_before loss_after moved_mean moved_max chamfer_to_initial "
+        "iou_before iou_after loss_before loss_after moved_by_prior moved_mean moved_max "
+        "chamfer_to_initial prior "
         "moving points outliers symmetry symmetry_outcome symmetry_reason learning_rate gamma "
         "sigma_sq device checkpoint frame confidence verdict reason warnings suspects step_taken "
         "budget convention seconds version"

@@ -3,7 +3,8 @@
 import numpy as np
 
 from tso_cli.prior.features import CELL, GRID, HALF
-from tso_cli.prior.network import initial
+from tso_cli.prior.learned import LearnedPrior
+from tso_cli.prior.network import SCALE, initial, shapes
 
 
 def some_weights(seed=0):
@@ -25,3 +26,10 @@ def discs(batch=2, points=512, cells=300, seed=0):
     closeness, known = rng.uniform(0.2, 0.6, batch), np.ones_like(distance)
     places, counted = rng.uniform(-0.2, 0.2, (batch, cells, 2)), np.ones((batch, cells))
     return cloud, closeness, distance, known, places, counted
+
+
+def pushing(*displacement):
+    """A prior that always asks for one displacement, in the axes of the view."""
+    weights = {name: np.zeros(shape) for name, shape in shapes().items()}
+    weights["moved.offset"][:3] = np.array(displacement) / SCALE
+    return LearnedPrior(weights, {})

@@ -42,6 +42,9 @@ CONVENTION = {
     "the default preset in points mode",
     "step_taken": "share of the displacement that was taken: under 1 where the result is doubtful, "
     "0 where nothing moved",
+    "prior": "learned: the one that comes with the program",
+    "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
+    "optimisation and before `step_taken`, as a share of the object's size",
     "saving": "share of the work that was saved: of the masks' pixels, the finest grid's cells, "
     "the points, the steps, the work that a mirror plane takes",
     "weight": "of a view in the loss: its trust, divided among the views that show the same",
@@ -96,6 +99,7 @@ class RefineReport:
             "learning_rate": settings.learning_rate,
             "gamma": settings.gamma,
             "sigma_sq": settings.sigma_sq,
+            "prior": settings.prior,
             "symmetry": result.symmetry.coefficients,
             "symmetry_outcome": result.symmetry.outcome,
             "symmetry_reason": result.symmetry.reason,
@@ -329,6 +333,7 @@ class RefineReport:
                 )
             click.echo(f"  camera {text}")
         click.echo(f"  mirror {self._mirror()}")
+        click.echo(f"  prior  {settings.prior}: moved {100.0 * fit.moved_by_prior:.1f} % on average")
         for decision in result.cost.decisions[:-1]:
             click.echo(f"  spent  {decision.what}: {decision.choice} ({decision.reason})")
         click.echo(

@@ -40,6 +40,7 @@ class Optimised:
         finite.
     interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
     first_loss, best_loss : of the start and of ``best``.
+    begun : [N, 3], where the learned prior moved the start to; None where it did not.
     stages : the best iterate of each stage, [N, 3]. objective : of the last stage.
     """
 
@@ -49,6 +50,7 @@ class Optimised:
     interrupted: bool
     first_loss: float
     best_loss: float
+    begun: Array | None = None
     stages: tuple[Array, ...] = ()
     objective: Term | None = None
     out_of_time: bool = False

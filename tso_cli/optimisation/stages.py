@@ -107,7 +107,8 @@ class CoarseToFine:
             found[-1] = replace(found[-1], interrupted=True)
         weights = [stage.averaging_weight for stage in stages]
         weights[-1] *= observations**2
-        return _averaged(found, weights[: len(found)], initial, sum_of(agreement)), problem
+        result = _averaged(found, weights[: len(found)], initial, sum_of(agreement))
+        return replace(result, begun=begin.points), problem
 
     def _mask_chamfer(
         self, targets: ViewTargets, points: Array, stage: Stage, field: SmoothField

@@ -115,7 +115,7 @@ class RefineConfig:
         for name, used in staged_only.items():
             if used and (self.preset, self.mode) != ("best", "points"):
                 raise InputError(
-                    f"{name} is for mode points with preset best, "
+                    f"`{name}` is for mode points with preset best, "
                     f"found {self.mode} with {self.preset}"
                 )
 

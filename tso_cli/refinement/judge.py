@@ -78,6 +78,7 @@ def judge(
     ending = _ending(weighed, problem, optimised, given, diagnosis, settings)
     cloud, moved, weights = problem.cloud, ending.moved, weighed.weights
     lengths = np.linalg.norm(moved.displacements, axis=1)
+    begun = cloud.start if optimised.begun is None else optimised.begun
     chamfer, _ = ChamferToStart(cloud.start)(cloud.start + moved.displacements)
     iou_before, iou_after = np.mean(ending.ious, 0).tolist()
     fit = Fit(
@@ -90,6 +91,7 @@ def judge(
         loss_after=_loss_after(problem, optimised, ending),
         iou_before=iou_before,
         iou_after=iou_after,
+        moved_by_prior=float(np.linalg.norm(begun - cloud.start, axis=1).mean()),
         moved_mean=float(lengths.mean()),
         moved_max=float(lengths.max()),
         chamfer_to_initial=chamfer,

@@ -43,6 +43,8 @@ class Fit:
         mode the objective changes from stage to stage; both are by the last one.
     iou_before, iou_after : of the mask (> 0.5) and the cloud's silhouette, whose footprints follow
         the cloud's spacing (evaluation/footprint.py), in the square around both; mean over views.
+    moved_by_prior : mean length of the displacements of the control points by the learned prior, in
+        longest sides of the start. The optimisation goes on from there.
     moved_mean, moved_max : length of the displacements of the control points, in longest sides of
         the start.
     chamfer_to_initial : squared distances of control points, mean over points, both directions
@@ -58,6 +60,7 @@ class Fit:
     loss_after: float
     iou_before: float
     iou_after: float
+    moved_by_prior: float
     moved_mean: float
     moved_max: float
     chamfer_to_initial: float
