@@ -108,7 +108,7 @@ def test_a_comparison_without_time_has_no_losses(chair):
         ({"budget": 0.0}, "budget is 0.0"),
         ({"budget": math.nan}, "budget is nan"),
         ({"budget": True}, "budget is True"),
-        ({"points": 100, "mode": "latent"}, "points is for mode points with preset best"),
+        ({"points": 100, "mode": "latent"}, "`points` is for mode points with preset best"),
         ({"points": 3}, "points is 3, expected a whole number from 16 to 16,384"),
         ({"points": True}, "points is True"),
     ],
