@@ -487,7 +487,6 @@ def stages() -> str:
         "smoothness lambda": "smoothness",
         "robust scale r": "robust_scale",
         "learning-rate scale": "learning_rate_scale",
-        "nodes": "nodes",
         "averaging weight": "averaging_weight",
     }
     rows = [

@@ -333,7 +333,9 @@ class RefineReport:
                 )
             click.echo(f"  camera {text}")
         click.echo(f"  mirror {self._mirror()}")
-        click.echo(f"  prior  {settings.prior}: moved {100.0 * fit.moved_by_prior:.1f} % on average")
+        click.echo(
+            f"  prior  {settings.prior}: moved {100.0 * fit.moved_by_prior:.1f} % on average"
+        )
         for decision in result.cost.decisions[:-1]:
             click.echo(f"  spent  {decision.what}: {decision.choice} ({decision.reason})")
         click.echo(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -152,12 +153,14 @@ def features_of(
     ``inlier_weights`` [V] are of the given views.
     """
     start, best = problem.cloud.start, optimised.best
+    begun = start if optimised.begun is None else optimised.begun
     views = len(problem.given)
     truncated = all(windowed.resampled.target.truncated for windowed in problem.given)
     return {
         **_motion(problem, field, start, best),
         **_rigidity(start, best),
-        **_disagreement_of_stages(optimised.stages),
+        "motion: by the prior": _log(_apart(start, begun)),
+        **_disagreement_of_stages(begun, optimised.stages),
         **_misfit(problem, start, best, ious),
         **_input(problem, diagnosis),
         "input: truncated": float(truncated),
@@ -207,11 +210,19 @@ def _rigidity(start: Array, best: Array) -> dict[str, float]:
     }
 
 
-def _disagreement_of_stages(stages: Sequence[Array]) -> dict[str, float]:
+def _disagreement_of_stages(begun: Array, stages: Sequence[Array]) -> dict[str, float]:
+    """Between where the learned prior moved the start to, and each of the two stages."""
+    names = ("prior", "1", "2")
+    found = dict(zip(names, (begun, *stages), strict=True))
     return {
-        f"stages: {i + 1} to {j + 1}": _log(np.sqrt(np.square(stages[j] - stages[i]).sum(1).mean()))
-        for i, j in ((0, 1), (0, 2), (1, 2))
+        f"stages: {one} to {other}": _log(_apart(found[one], found[other]))
+        for one, other in itertools.combinations(names, 2)
     }
+
+
+def _apart(one: Array, other: Array) -> float:
+    """The root mean square distance of the points of two clouds [N, 3]."""
+    return float(np.sqrt(np.square(other - one).sum(1).mean()))
 
 
 def _misfit(

@@ -8,8 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from ..cloud.control_points import CONTROL_POINTS
-
 Mode = Literal["points", "encoder", "encoder-decoder", "latent"]
 Preset = Literal["best", "paper"]
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -34,7 +32,7 @@ class Defaults:
 
 
 DEFAULTS = {
-    ("best", "points"): Defaults(48, 4e-2, 0.0),
+    ("best", "points"): Defaults(32, 4e-2, 0.0),
     ("best", "encoder"): Defaults(12, 3e-5, 0.0),
     ("best", "encoder-decoder"): Defaults(12, 6e-5, 0.0),
     ("best", "latent"): Defaults(30, 1e-3, 0.0),
@@ -54,7 +52,7 @@ MOST_VIEWS_FOR_STEPS = 4
 BAD_START = 1.0
 MORE_STEPS = 2
 
-# With a budget of fewer seconds for each view, 48 steps of 1,024 points may not fit ...
+# With a budget of fewer seconds for each view, the steps of 1,024 points may not fit ...
 SHORT_SECONDS = 0.3
 # ... and the default is this number of control points.
 SHORT_CONTROL_POINTS = 512
@@ -74,7 +72,6 @@ class Stage:
     smoothness : lambda of `SmoothField`.
     robust_scale : of the mask Chamfer loss, px of a window of 64.
     learning_rate_scale : factor of the learning rate. Cars and sofas gain by a slower last stage.
-    nodes : of the displacement field.
     averaging_weight : of this stage's best iterate in the result, which is a mean over stages.
     blur : standard deviation of the photometric loss's blur, px of a window of 64.
     fine_grid : whether the window is resampled at `fine_cells` in place of 64 cells a side.
@@ -83,20 +80,17 @@ class Stage:
     smoothness: float
     robust_scale: float
     learning_rate_scale: float = 1.0
-    nodes: int = CONTROL_POINTS
     averaging_weight: float = 1.0
     blur: float = 0.5
     fine_grid: bool = False
 
 
-# At first the cloud moves almost rigidly, toward distant pixels too. At last it moves almost point
-# by point, toward near pixels only. Where stages disagree, the later stage is wrong about as often
-# as it is right. The mean of the stages is about as accurate as the last stage, and is less often
-# worse than the start.
+# At first large parts move together. At last the cloud moves almost point by point. Where the two
+# stages disagree, the later one is wrong about as often as it is right. Their mean is about as
+# accurate as the later stage, and is less often worse than the start.
 STAGES = (
-    Stage(100.0, 6.0, 1.0, 256, 1.0, blur=2.0),
-    Stage(10.0, 3.0, 1.0, 512, 2.0, blur=1.0),
-    Stage(1.0, 3.0, 0.35, CONTROL_POINTS, 3.0, fine_grid=True),
+    Stage(5.0, 3.0, 1.0, 2.0, blur=1.0),
+    Stage(0.5, 3.0, 0.35, 3.0, fine_grid=True),
 )
 
 
@@ -142,7 +136,7 @@ NETWORK = CoarseToFineConfig(
 # Two short optimisations are compared to verify a hypothesis. They have one loosely held stage: a
 # strong prior would hide how they differ.
 COMPARISON = CoarseToFineConfig(
-    stages=(Stage(10.0, 6.0, nodes=512),),
+    stages=(Stage(5.0, 6.0),),
     prior_weight=350.0,
     least_prior_weight=30.0,
 )

@@ -28,7 +28,7 @@ class CoarseToFine:
     Parameters
     ----------
     problem : the cloud and its views. weights : of the given views.
-    field : of the cloud at its start, with `CONTROL_POINTS` nodes; stages take coarser fields.
+    field : of the cloud at its start.
     beginning : where the points are at first, and held; the start without it.
     learning_rate : the largest change of a node's vector in the first step. Smoothing makes the
         points move less.
@@ -67,7 +67,6 @@ class CoarseToFine:
         targets = problem.targets(self.weights)
         # What is truncated in every view stays unknown, however many views there are.
         observations = 1.0 if targets.truncated else self.observations
-        finest = self.field.with_nodes(max(stage.nodes for stage in stages))
         prior = position_prior(begin.points, targets, config, observations, begin.rightness)
         found: list[Optimised] = []
         points, done = begin.points, 0
@@ -83,14 +82,14 @@ class CoarseToFine:
                             begin.points, targets, config, observations, begin.rightness
                         )
                 agreement = [
-                    self._mask_chamfer(targets, points, stage, finest),
+                    self._mask_chamfer(targets, points, stage),
                     *self.stage_terms(points, stage),
                 ]
                 end = round(steps * number / len(stages))
                 now = time.perf_counter()
                 found.append(
                     minimise(
-                        self._parameters(points, stage, finest),
+                        self._parameters(points, stage),
                         sum_of([*agreement, prior]),
                         end - done,
                         on_progress and offset_progress(on_progress, done, steps),
@@ -110,18 +109,16 @@ class CoarseToFine:
         result = _averaged(found, weights[: len(found)], initial, sum_of(agreement))
         return replace(result, begun=begin.points), problem
 
-    def _mask_chamfer(
-        self, targets: ViewTargets, points: Array, stage: Stage, field: SmoothField
-    ) -> Term:
+    def _mask_chamfer(self, targets: ViewTargets, points: Array, stage: Stage) -> Term:
         resolvability = None
         if self.config.use_resolvability:
-            resolvability = targets.resolvability(points, field)
+            resolvability = targets.resolvability(points, self.field)
         return MaskChamferObjective(targets, stage.robust_scale, resolvability)
 
-    def _parameters(self, points: Array, stage: Stage, field: SmoothField) -> FieldParameters:
+    def _parameters(self, points: Array, stage: Stage) -> FieldParameters:
         rate = stage.learning_rate_scale * self.learning_rate
         optimiser = UniformAdam(rate) if self.config.uniform_adam else Adam(rate)
-        return FieldParameters(points, field.with_nodes(stage.nodes), stage.smoothness, optimiser)
+        return FieldParameters(points, self.field, stage.smoothness, optimiser)
 
 
 def network_objective(initial: Array, targets: ViewTargets) -> Term:

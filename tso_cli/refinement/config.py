@@ -63,7 +63,7 @@ class RefineConfig:
     coarse_to_fine : settings of the preset "best" in points mode, for ablations.
 
     The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
-    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 48 steps for each view,
+    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 32 steps for each view,
     up to four views.
 
     Raises

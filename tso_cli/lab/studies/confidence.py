@@ -201,7 +201,7 @@ def fitted(rows: Sequence[Row], seed: int = 0) -> Record:
         "output": np.append(np.concatenate(outputs) / NETWORKS, np.mean(biases)),
     }
     numbers = {key: np.round(array.astype(float), 4).tolist() for key, array in model.items()}
-    return {"signs": names, **numbers}
+    return {"features": names, **numbers}
 
 
 def auc(confidence: NDArray[np.float64], worse: NDArray[np.bool_]) -> float | None:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from ...errors import TsoError
 from ...network.model import BaseNetwork
-from ...optimisation.presets import BEST, CONTROL_POINTS, Mode, Preset, Stage
+from ...optimisation.presets import BEST, Mode, Preset, Stage
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
 from ..interrupts import uninterrupted
 from .cases import Case
@@ -64,13 +64,10 @@ ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _stages_with(smoothness=0.0, nodes=CONTROL_POINTS),
-    "one stage": _best_with(stages=(Stage(10.0, 3.0, fine_grid=True),)),
+    "no smoothing": _stages_with(smoothness=0.0),
+    "one stage": _best_with(stages=(Stage(5.0, 3.0, fine_grid=True),)),
     "stages averaged alike": _stages_with(averaging_weight=1.0),
     "one learning rate": _stages_with(learning_rate_scale=1.0),
-    "at most 512 nodes": _best_with(
-        stages=tuple(replace(stage, nodes=min(stage.nodes, 512)) for stage in BEST.stages)
-    ),
     "64 cells in the last stage too": _stages_with(fine_grid=False),
     "prior by the error of the whole cloud alone": _best_with(local_prior=False),
     "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
