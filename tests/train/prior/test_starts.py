@@ -16,7 +16,7 @@ from tso_cli.train.prior.starts import draw, mirrored
 @pytest.fixture
 def plain(monkeypatch):
     """Only the kinds of start differ: no noise, no other frame, no points that belong nowhere."""
-    for name in ("SHIFTED_SHARE", "STREWN_SHARE", "DISTANCE_NOISE"):
+    for name in ("SHIFTED_SHARE", "STREWN_CHANCE", "DISTANCE_NOISE"):
         monkeypatch.setattr(starts, name, 0.0)
     monkeypatch.setattr(starts, "ALL_POINTS_CHANCE", 1.0)
 
@@ -183,10 +183,12 @@ def test_a_truncated_picture_knows_nothing_beyond_its_border(shapes, monkeypatch
 
 def test_points_that_belong_nowhere_have_no_counterpart(bank, monkeypatch, plain):
     only(monkeypatch, right=1.0, near=0.0)
-    monkeypatch.setattr(starts, "STREWN_SHARE", 1.0)
+    monkeypatch.setattr(starts, "STREWN_CHANCE", 1.0)
     batch = draw(bank, np.random.default_rng(0), 16)
     nowhere = batch.counterpart.isnan().any(2)
-    assert set(nowhere.sum(1).tolist()) == {1, 2, 3}
+    points = batch.start.shape[1]
+    assert 1 <= nowhere.sum(1).min() <= 5
+    assert 0.04 * points < nowhere.sum(1).max() <= np.ceil(starts.MOST_STREWN * points)
     assert torch.equal(batch.start[~nowhere], batch.counterpart[~nowhere])
     assert batch.start.abs().max() <= starts.STREWN_BOX / 2.0
 

@@ -26,8 +26,8 @@ BLENDED_SHARE, BLEND, BLEND_NOISE = 0.2, (0.15, 0.6), 0.02
 NORMALISED_SHARE = 0.85  # of the other shapes; the rest keep the frame that they have
 # Of all starts: in a frame that is off, as that of a cloud is whose box is not the truth's.
 SHIFTED_SHARE, SHIFT, SCALE = 0.15, 0.03, 0.06
-# Points that belong to nothing, in a box of this size.
-STREWN_SHARE, MOST_STREWN, STREWN_BOX = 0.02, 3, 1.5
+# Of all starts: among their points some belong to nothing, up to this share, in a box of this size.
+STREWN_CHANCE, MOST_STREWN, STREWN_BOX = 0.06, 0.08, 1.5
 ALL_POINTS_CHANCE, LEAST_POINTS = 0.75, 128  # of a batch
 DISTANCE_NOISE = 0.002  # one number for each map: an outline that is drawn too wide or too narrow
 
@@ -168,14 +168,14 @@ def _shift(start: Tensor, rng: np.random.Generator) -> None:
 
 
 def _strew(start: Tensor, counterpart: Tensor, rng: np.random.Generator) -> None:
-    """Replace the first points of some starts by random ones that belong nowhere."""
-    count = len(start)
-    number = rng.integers(1, MOST_STREWN + 1, count) * (rng.random(count) < STREWN_SHARE)
-    places = STREWN_BOX * (rng.random((count, MOST_STREWN, 3)) - 0.5)
-    chosen = torch.from_numpy(np.arange(MOST_STREWN) < number[:, None])[..., None].to(start.device)
-    first = start[:, :MOST_STREWN], counterpart[:, :MOST_STREWN]
-    first[0].copy_(torch.where(chosen, torch.from_numpy(places).to(start), first[0]))
-    first[1].masked_fill_(chosen, torch.nan)
+    """Replace the first points of some starts by random ones: a single one as often as many."""
+    count, points = start.shape[:2]
+    share = np.exp(rng.uniform(np.log(1.0 / points), np.log(MOST_STREWN), count))
+    number = np.ceil(share * points) * (rng.random(count) < STREWN_CHANCE)
+    places = STREWN_BOX * (rng.random((count, points, 3)) - 0.5)
+    chosen = torch.from_numpy(np.arange(points) < number[:, None])[..., None].to(start.device)
+    start.copy_(torch.where(chosen, torch.from_numpy(places).to(start), start))
+    counterpart.masked_fill_(chosen, torch.nan)
 
 
 def _maps(bank: Bank, scene: Indices, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
