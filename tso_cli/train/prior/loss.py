@@ -101,7 +101,8 @@ class _Frame:
         shown = shown.unflatten(0, closeness.shape)
         distance = shown[:, :, 0] / (scale[:, None] / depth)[..., None, None]
         closer = closeness * scale[:, None] / depth
-        return cls(centre, scale, rotation, closer, distance, (shown[:, :, 1] > 0.5).float())
+        known = (shown[:, :, 1] > 0.5).to(distance)
+        return cls(centre, scale, rotation, closer, distance, known)
 
     def points(self, points: Tensor) -> Tensor:
         """[B, N, 3] in this frame."""
@@ -136,10 +137,10 @@ def _features(frame: _Frame, points: Tensor, nodes: int, generator: torch.Genera
     seen = torch.einsum("bvij,bnj->bvni", frame.rotation, points).flatten(0, 1)
     distance, known = frame.distance.flatten(0, 1), frame.known.flatten(0, 1)
     # Some cells of the foreground, at random places in them.
-    inside = ((distance < 0.3 * CELL) & (known > 0.5)).flatten(1).float()
+    inside = ((distance < 0.3 * CELL) & (known > 0.5)).flatten(1).to(distance)
     drawn = torch.rand(inside.shape, generator=generator).to(inside) + inside
     cells = drawn.topk(int(CELLS), 1, sorted=False).indices
-    grid = torch.stack([cells % GRID, cells // GRID], -1) + 0.5
+    grid = torch.stack([cells % GRID, cells // GRID], -1).to(distance) + 0.5
     jitter = torch.rand(grid.shape, generator=generator).to(grid) - 0.5
     places = (grid + 0.8 * jitter) * CELL - HALF
     counted = torch.gather(inside, 1, cells)
