@@ -48,13 +48,11 @@ def loss(weights: Mapping[str, Tensor], batch: Batch, generator: torch.Generator
     """
     frame = _Frame.of(batch)
     points = frame.points(batch.start)
-    second = round(SECOND_PASS * len(points))
-    with torch.no_grad():
-        moved = (
-            points[:second]
-            + _displacements(weights, frame.part(second), points[:second], generator)[:, 2]
-        )
-        points = torch.cat([moved, points[second:]])
+    if second := round(SECOND_PASS * len(points)):
+        first = points[:second]
+        with torch.no_grad():
+            step = _displacements(weights, frame.part(second), first, generator)[:, 2]
+        points = torch.cat([first + step, points[second:]])
     target = frame.points(batch.target)
     counterpart = frame.points(batch.counterpart)
     result = points[:, None] + _displacements(weights, frame, points, generator)
