@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ...kernels.tensors import use_numba
 from ...prior.features import (
     CELL,
     CELLS,
@@ -148,10 +150,25 @@ def _features(frame: _Frame, points: Tensor, nodes: int, generator: torch.Genera
 
 def _interpolation(points: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
     """[B, M, k] the nodes nearest to each point, and their weights: `falling_weights` in torch."""
-    distance = torch.cdist(points, points[:, :nodes])
-    near, index = distance.topk(INTERPOLATED_FROM, dim=2, largest=False)
-    weights = (1.0 - (near / near[..., -1:].clamp_min(1e-9)).square()).square() + 1e-6
+    index = _nearest_nodes(points, nodes)
+    near = TORCH.rows(points, index.flatten(1)).unflatten(1, index.shape[1:])
+    distance = (points[:, :, None] - near).norm(dim=-1)
+    share = distance / distance[..., -1:].clamp_min(1e-9)
+    weights = (1.0 - share.square()).square() + 1e-6
     return index, weights / weights.sum(-1, keepdim=True)
+
+
+def _nearest_nodes(points: Tensor, nodes: int) -> Tensor:
+    """[B, M, k], in order of increasing distance."""
+    if not use_numba(points):
+        distance = torch.cdist(points, points[:, :nodes])
+        return distance.topk(INTERPOLATED_FROM, dim=2, largest=False).indices
+    from ...kernels.points_numba import nearest_few
+
+    index = np.empty((*points.shape[:2], INTERPOLATED_FROM), np.int64)
+    for cloud, found in zip(points.numpy(), index, strict=True):
+        nearest_few(cloud, cloud[:nodes], found)
+    return torch.from_numpy(index)
 
 
 def _chamfer(moved: Tensor, target: Tensor, some: Tensor, others: Tensor) -> Tensor:
