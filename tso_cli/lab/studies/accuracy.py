@@ -254,8 +254,9 @@ MODE_PARTS = ("network modes, paper", "network modes, best")
 STUDY = Study(
     name="accuracy",
     about="Kinds of start: another shape's cloud, about as wrong as a trained network's (other); "
-    "another shape's close to the truth (near); the first with an object that the border truncates "
-    "(cut); the truth sampled again (right); the network's prediction (network).",
+    "the same, where clouds and cameras are turned together at random (turned); another shape's "
+    "close to the truth (near); the first with an object that the border truncates (cut); the "
+    "truth sampled again (right); the network's prediction (network).",
     parts=("pictures", "points, paper", "points, best", *MODE_PARTS),
     tables=tables,
     draw=draw,
