@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Final
@@ -92,6 +93,24 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
     if ablation:
         return ABLATION
     return NETWORK if kind == "network" else POINTS
+
+
+def with_prior(variants: Mapping[str, Variant], prior: str) -> dict[str, Variant]:
+    """The ``variants`` with this learned prior, wherever the default preset moves points.
+
+    A variant that has chosen its prior keeps it.
+    """
+
+    def chosen(config: RefineConfig) -> RefineConfig:
+        takes_one = (config.preset, config.mode) == (DEFAULT, "points") and config.prior is None
+        return replace(config, prior=prior) if takes_one else config
+
+    return {
+        name: replace(
+            variant, config=chosen(variant.config), then=variant.then and chosen(variant.then)
+        )
+        for name, variant in variants.items()
+    }
 
 
 def refined(
