@@ -8,6 +8,7 @@ from itertools import product
 from typing import Any, Final
 
 from ...errors import TsoError
+from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
 from ...optimisation.presets import BEST, CONTROL_POINTS, Mode, Preset, Stage
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
@@ -73,8 +74,9 @@ ABLATION = {
         stages=tuple(replace(stage, nodes=min(stage.nodes, 512)) for stage in BEST.stages)
     ),
     "64 cells in the last stage too": _stages_with(fine_grid=False),
-    "prior by the error of the whole cloud alone": _best_with(local_prior=False),
-    "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
+    "no learned prior": Variant(RefineConfig(prior=NO_PRIOR)),
+    "a right start is held no firmer": _best_with(firmness=1.0),
+    "no position prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
     "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
     "prior alike for each start": _best_with(prior_decay=0.0),
     "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
