@@ -171,6 +171,7 @@ def starts() -> str:
     """By kind of start: mean, worst, and how many got worse."""
     kinds = {
         "other": "another shape of the same type",
+        "turned": "another shape; the whole scene is turned",
         "near": "another shape close to the truth",
         "cut": "another shape; the object is truncated",
         "network": "the shipped network's prediction",
@@ -180,6 +181,7 @@ def starts() -> str:
     rows = [
         [label, *(", ".join(pooled(kind, name)) for name in variants.values())]
         for kind, label in kinds.items()
+        if kind in record("accuracy")["summary"]
     ]
     return markdown(["start", *variants], rows)
 

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tso_cli.errors import InputError
 from tso_cli.io.shipped import examples_folder
 from tso_cli.lab.studies import accuracy
 from tso_cli.lab.studies.accuracy import conclude
-from tso_cli.lab.studies.refining import ABLATION, NETWORK, POINTS
+from tso_cli.lab.studies.refining import ABLATION, NETWORK, POINTS, with_prior
+from tso_cli.lab.studies.shapes import prior_hash
 from tso_cli.optimisation.presets import BEST
+from tso_cli.prior.file import write_prior
+from tso_cli.prior.network import initial
 from tso_cli.refinement import RefineConfig, refine
 from tso_cli.scene.load import load_points_scene
 
@@ -27,13 +32,42 @@ def test_an_ablation_changes_one_ingredient_of_the_preset_at_a_time():
     plain = moved(RefineConfig())
     recipes = {name: variant.config.coarse_to_fine for name, variant in ABLATION.items()}
     changed = {name: recipe for name, recipe in recipes.items() if recipe is not BEST}
-    assert len(changed) == 14
+    unchanged = {"paper", "best", "no mirror plane", "no learned prior"}
+    assert set(recipes) - set(changed) == unchanged | {"Chamfer to the start added"}
     for name, recipe in changed.items():
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}
         assert len(differing) == 1 or differing == {"least_prior_weight", "prior_weight"}, name
         # The other rows change nothing on a car that is seen whole and far off.
         if differing & {"stages", "uniform_adam"}:
             assert np.abs(moved(ABLATION[name].config) - plain).max() > 1e-4, name
+    assert np.abs(moved(ABLATION["no learned prior"].config) - plain).max() > 1e-4
+
+
+def test_the_default_preset_takes_the_prior_of_the_study_in_points_mode_alone():
+    for variants in (NETWORK, ABLATION):
+        chosen = with_prior(variants, "mine.safetensors")
+        assert list(chosen) == list(variants)
+        for name, variant in chosen.items():
+            for config in (variant.config, variant.then):
+                staged = config and (config.preset, config.mode) == ("best", "points")
+                if not staged:
+                    assert config is None or config.prior is None
+                elif name == "no learned prior":
+                    assert config.prior == "none"
+                else:
+                    assert config.prior == "mine.safetensors"
+    assert chosen["a right start is held no firmer"].config.coarse_to_fine.firmness == 1.0
+
+
+def test_a_prior_is_known_by_its_weights_in_the_record(tmp_path):
+    paths = [tmp_path / f"{name}.safetensors" for name in "abc"]
+    for path, seed in zip(paths, (0, 0, 1), strict=True):
+        write_prior(path, initial(seed), {"path": str(path)}, False)
+    first, same, other = map(prior_hash, paths)
+    assert first == same != other
+    assert prior_hash(Path("none")) is None
+    with pytest.raises(InputError, match="does not exist"):
+        prior_hash(tmp_path / "absent.safetensors")
 
 
 def fake(

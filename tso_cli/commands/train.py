@@ -109,6 +109,14 @@ class CategoryValue(click.ParamType):
     metavar="NAME",
 )
 @option(
+    "--predicted-by",
+    "Let some starts of --prior be predictions of this network, or of the shipped one (`default`), "
+    "from pictures of the meshes.",
+    type=options.FilePath(*options.WORDS["checkpoint"]),
+    metavar="default|CHECKPOINT",
+)
+@option("--predictions", "Most predictions of --predicted-by; 100 take 10 s.", default=1600)
+@option(
     "--crop-share",
     "Crop each picture so that the object's longer side takes this share of it, and scale "
     "clouds to longest side 1. 0: objects and clouds keep their sizes.",

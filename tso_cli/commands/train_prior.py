@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,7 @@ PRIOR_DEFAULTS: dict[str, Any] = {
     "output": Path("prior.safetensors"),
 }
 # Options of the prior alone, and options that both trainings have; all others are the network's.
-OF_PRIOR = ("prior", "scenes", "without")
+OF_PRIOR = ("prior", "scenes", "without", "predicted_by", "predictions")
 OF_BOTH = (
     "strict", "initial", "steps", "batch_size", "output", "overwrite", "checkpoint_every", "resume",
     "log_file", "as_json", "device", "seed",
@@ -49,6 +50,8 @@ def check_prior(ctx: click.Context) -> None:
             raise InputError(
                 f"{shown} is for the training of the network, expected it without --prior"
             )
+        if name == "predictions" and ctx.params["predicted_by"] is None:
+            raise InputError(f"{shown} counts what a network predicts, expected --predicted-by too")
 
 
 def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> None:
@@ -57,6 +60,7 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
     from ..train.prior.bank import build_bank
     from ..train.prior.config import PriorConfig
     from ..train.prior.loop import train
+    from ..train.prior.predictions import Predictor, draw_predictions
     from ..train.prior.shapes import read_shapes
     from ..train.prior.state import (
         check_resumable,
@@ -74,8 +78,13 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
         )
     for name, value in PRIOR_DEFAULTS.items():
         chosen[name] = value if chosen[name] is None else chosen[name]
-    config, outputs = options.pick(PriorConfig, chosen), options.pick(TrainOutputs, chosen)
+    outputs = options.pick(TrainOutputs, chosen)
     outputs.check()
+    predictor = None
+    if chosen["predicted_by"] is not None:
+        predictor = Predictor.read(chosen["predicted_by"])
+        chosen["predicted_by"] = predictor.name
+    config = options.pick(PriorConfig, chosen)
     device = devices.resolve(config.device)
     weights = _initial_weights(config, outputs.resume, chosen["initial"])
     if outputs.resume:
@@ -102,9 +111,18 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
     if state.step >= config.steps:
         save(state)
     else:
-        bank = build_bank(
-            shapes, config.scenes, config.seed, device, options.ProgressBar("draw scenes")
-        )
+        predict = None
+        if predictor is not None:
+            predict = partial(
+                draw_predictions,
+                predictor,
+                shapes,
+                count=config.predictions,
+                seed=config.seed,
+                progress=options.ProgressBar("predict starts"),
+            )
+        drawing = options.ProgressBar("draw scenes")
+        bank = build_bank(shapes, config.scenes, config.seed, device, drawing, predict)
         prepared = time.perf_counter()
         with options.naming(outputs.output):
             stop_reason = train(

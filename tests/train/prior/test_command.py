@@ -192,6 +192,7 @@ def test_defaults_and_names_of_options_are_those_of_the_settings():
     assert train_prior.PRIOR_DEFAULTS["steps"] == config.steps
     assert train_prior.PRIOR_DEFAULTS["batch_size"] == config.batch_size
     assert parameters["scenes"].default == config.scenes
+    assert parameters["predictions"].default == config.predictions
     assert set(train_prior.OF_BOTH) | set(train_prior.OF_PRIOR) <= set(parameters)
 
 

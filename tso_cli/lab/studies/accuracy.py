@@ -30,8 +30,9 @@ from .refining import (
     alone,
     refined,
     variants_of,
+    with_prior,
 )
-from .shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
+from .shapes import Shape, prior_hash, shapes_of_part, view_aligned_network, weights_hash
 from .summary import (
     grouped,
     mean,
@@ -70,11 +71,15 @@ def plan(
     meshes: Path,
     split: Path | None,
     pictures: Path | None,
+    prior: Path,
     kinds: tuple[str, ...] = (),
     variants_of: Callable[[str, bool], dict[str, Variant]] = variants_of,
     **settings: Any,
 ) -> Plan:
-    """Refine every case of every kind with every variant, and compare it with the truth."""
+    """Refine every case of every kind with every variant, and compare it with the truth.
+
+    ``prior`` is "learned", "none" or a file, for the variants of the default preset in points mode.
+    """
     ablation, sizes = settings["ablation"], settings["sizes"]
     every = tuple(kind for kind in KINDS if kind != "right" or not ablation)
     kinds = kinds or (("other",) if sizes else every)
@@ -89,10 +94,11 @@ def plan(
     builders = {
         name: replace(plain, size=size, points=points) for name, (size, points) in scales.items()
     }
-    variants = {kind: variants_of(kind, ablation) for kind in kinds}
+    variants = {kind: with_prior(variants_of(kind, ablation), str(prior)) for kind in kinds}
     settings |= {"categories": list(categories), "kinds": list(kinds)}
     settings |= {"shapes": [shape.name for shape in shapes]}
     settings["network"] = weights_hash(network) if network else None
+    settings |= {"prior": prior.name, "prior_weights": prior_hash(prior)}
     settings["variants"] = {kind: list(of_kind) for kind, of_kind in variants.items()}
 
     def refine_group(shared: Record, kind: str, group: list[Shape]) -> Cases:
@@ -109,7 +115,7 @@ def plan(
             shared = {"kind": kind, "shape": group[0].name}
             shared |= {"scale": scale} if sizes else {}
             jobs.append((shared, partial(refine_group, shared, kind, group)))
-    default = variants_of(kinds[0], ablation)[DEFAULT]
+    default = variants[kinds[0]][DEFAULT]
     extremes = partial(_extremes, builder=plain, shapes=shapes, variant=default)
     return Plan(settings, jobs, finish=pictures_at(pictures, progress.overwrite, extremes))
 
@@ -254,8 +260,9 @@ MODE_PARTS = ("network modes, paper", "network modes, best")
 STUDY = Study(
     name="accuracy",
     about="Kinds of start: another shape's cloud, about as wrong as a trained network's (other); "
-    "another shape's close to the truth (near); the first with an object that the border truncates "
-    "(cut); the truth sampled again (right); the network's prediction (network).",
+    "the same, where clouds and cameras are turned together at random (turned); another shape's "
+    "close to the truth (near); the first with an object that the border truncates (cut); the "
+    "truth sampled again (right); the network's prediction (network).",
     parts=("pictures", "points, paper", "points, best", *MODE_PARTS),
     tables=tables,
     draw=draw,
@@ -270,6 +277,7 @@ STUDY = Study(
         options.part("test"),
         options.categories(*CATEGORIES),
         options.views(2),
+        options.PRIOR,
         Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
         Option("--sizes", f"Compare {'; '.join(SCALES)}.  Kind other alone.", bool, False),
         options.pictures("the worst and the median case of each category"),

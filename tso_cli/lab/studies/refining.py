@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Final
 
 from ...errors import TsoError
+from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
 from ...optimisation.presets import BEST, Mode, Preset, Stage
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
@@ -69,8 +71,9 @@ ABLATION = {
     "stages averaged alike": _stages_with(averaging_weight=1.0),
     "one learning rate": _stages_with(learning_rate_scale=1.0),
     "64 cells in the last stage too": _stages_with(fine_grid=False),
-    "prior by the error of the whole cloud alone": _best_with(local_prior=False),
-    "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
+    "no learned prior": Variant(RefineConfig(prior=NO_PRIOR)),
+    "a right start is held no firmer": _best_with(firmness=1.0),
+    "no position prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
     "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
     "prior alike for each start": _best_with(prior_decay=0.0),
     "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
@@ -89,6 +92,24 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
     if ablation:
         return ABLATION
     return NETWORK if kind == "network" else POINTS
+
+
+def with_prior(variants: Mapping[str, Variant], prior: str) -> dict[str, Variant]:
+    """The ``variants`` with this learned prior, wherever the default preset moves points.
+
+    A variant that has chosen its prior keeps it.
+    """
+
+    def chosen(config: RefineConfig) -> RefineConfig:
+        takes_one = (config.preset, config.mode) == (DEFAULT, "points") and config.prior is None
+        return replace(config, prior=prior) if takes_one else config
+
+    return {
+        name: replace(
+            variant, config=chosen(variant.config), then=variant.then and chosen(variant.then)
+        )
+        for name, variant in variants.items()
+    }
 
 
 def refined(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ...geometry.arrays import Indices
 from .neighbours import Neighbours, find_neighbours
+from .predictions import Predictions
 from .scenes import Scene, draw_scenes
 from .shapes import Progress, Shape, ShapeSet
 
@@ -24,6 +25,7 @@ class Bank:
     rotation, closeness, distance, window : [S, VIEWS, ...], see `scenes.Scene`.
     samplings : [N, 2, POINTS, 3] of the shapes.
     mirror_axes : [N], see `shapes.Shape`.
+    predicted, prediction, predicted_chance : see `predictions.Predictions`.
     """
 
     shape: Indices
@@ -35,6 +37,9 @@ class Bank:
     samplings: Tensor
     mirror_axes: Indices
     neighbours: Neighbours
+    predicted: Tensor
+    prediction: Indices
+    predicted_chance: float
 
     @property
     def device(self) -> torch.device:
@@ -47,12 +52,15 @@ def build_bank(
     seed: int,
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
+    predict: Callable[[Sequence[Scene]], Predictions] | None = None,
 ) -> Bank:
     """Draw ``scenes`` scenes of the shapes; the same seed gives the same bank.
 
-    One scene takes about 20 ms. Raises InputError if the shapes cannot be seen in any mask.
+    ``predict`` predicts some of the scenes. One scene takes about 20 ms. Raises InputError if the
+    shapes cannot be seen in any mask.
     """
     drawn = draw_scenes(shapes, scenes, seed, progress)
+    predictions = predict(drawn) if predict else Predictions.none(scenes)
 
     def stacked(items: Sequence[Scene | Shape], name: str) -> Tensor:
         return torch.from_numpy(np.stack([getattr(item, name) for item in items])).to(device)
@@ -67,4 +75,7 @@ def build_bank(
         samplings=stacked(shapes.shapes, "samplings"),
         mirror_axes=np.array([shape.mirror_axis for shape in shapes.shapes]),
         neighbours=find_neighbours(shapes.shapes, np.random.default_rng([seed, 2])),
+        predicted=torch.from_numpy(predictions.clouds).to(device),
+        prediction=predictions.of_scene,
+        predicted_chance=predictions.chance,
     )

@@ -13,6 +13,8 @@ RISING_STEPS = 100  # over these the rate rises, or over a tenth of a short trai
 WEIGHT_DECAY = 0.02
 LONGEST_GRADIENT = 1.0  # a longer gradient is shortened to this length
 AVERAGING = 0.999  # decay of the running mean of the weights, which is saved
+# Settings that a training without predictions does not have.
+OF_PREDICTIONS = ("predicted_by", "predictions")
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,9 @@ class PriorConfig:
     steps : optimiser steps in all; the learning rate is 0 after the last.
     batch_size : starts in a step.
     scenes : scenes that are drawn before the training.
+    predicted_by : name of the network whose predictions are starts too (`Predictor.name`); None
+        for no such starts.
+    predictions : the most predictions that are drawn before the training.
     seed : seed of the weights and of every draw. A run depends on the seed, the shapes and the
         device alone.
     """
@@ -31,17 +36,20 @@ class PriorConfig:
     steps: int = 3000
     batch_size: int = 64
     scenes: int = 8000
+    predicted_by: str | None = None
+    predictions: int = 1600
     seed: int = 0
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch_size", "scenes"):
+        for name in ("steps", "batch_size", "scenes", "predictions"):
             if getattr(self, name) < 1:
                 raise InputError(f"`{name}` is {getattr(self, name)}, expected 1 or more")
 
-    def settings(self) -> dict[str, int]:
+    def settings(self) -> dict[str, int | str]:
         """What a resumed run must have in common with the run that it continues."""
-        names = ("steps", "batch_size", "scenes", "seed")
+        of_predictions = OF_PREDICTIONS if self.predicted_by else ()
+        names = ("steps", "batch_size", "scenes", "seed", *of_predictions)
         return {name: getattr(self, name) for name in names}
 
     def learning_rate(self, step: int) -> float:

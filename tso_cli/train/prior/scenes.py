@@ -38,6 +38,7 @@ class Scene:
     rotation, closeness : [VIEWS, 3, 3] and [VIEWS], see `masks.seen`.
     distance : [VIEWS, GRID, GRID] float16, see `masks.signed_distance`.
     window : [VIEWS, 4], see `masks.known_window`.
+    lattice : of the deformation (`warps.draw_lattices`), [SIDE^3, 3]; None for the shape as it is.
     """
 
     shape: int
@@ -46,6 +47,7 @@ class Scene:
     closeness: Floats
     distance: NDArray[np.float16]
     window: NDArray[np.uint8]
+    lattice: Floats | None = None
 
 
 def draw_scene(shapes: ShapeSet, chances: Array, rng: np.random.Generator) -> Scene:
@@ -56,9 +58,10 @@ def draw_scene(shapes: ShapeSet, chances: Array, rng: np.random.Generator) -> Sc
     for _ in range(MOST_DRAWS):
         index = int(rng.choice(len(chances), p=chances))
         shape = shapes.shapes[index]
-        vertices, samplings = shape.vertices, shape.samplings
+        vertices, samplings, lattice = shape.vertices, shape.samplings, None
         if rng.random() < WARPED_CHANCE:
-            vertices = _deformed(shape, rng)
+            lattice = _draw_lattice(shape, rng)
+            vertices = deformed(shape, lattice)
             samplings = np.stack([evenly_spread(vertices, shape.faces, rng) for _ in range(2)])
         pose = draw_pose(rng)
         truncated = int(rng.integers(VIEWS)) if rng.random() < TRUNCATED_CHANCE else None
@@ -68,7 +71,7 @@ def draw_scene(shapes: ShapeSet, chances: Array, rng: np.random.Generator) -> Sc
         seen_views = [view for view in views if view is not None]
         if len(seen_views) == VIEWS:
             rotation, closeness, distance, window = map(np.stack, zip(*seen_views, strict=True))
-            return Scene(index, samplings, rotation, closeness, distance, window)
+            return Scene(index, samplings, rotation, closeness, distance, window, lattice)
     raise InputError(
         f"{shape.name}: none of its masks has {LEAST_FOREGROUND} cells of foreground, "
         f"nor of {MOST_DRAWS - 1} other shapes, expected shapes that can be seen"
@@ -100,12 +103,20 @@ def _draw_view(
     return None
 
 
-def _deformed(shape: Shape, rng: np.random.Generator) -> Floats:
-    """The vertices [V, 3] of the shape after a random deformation, normalised again."""
+def _draw_lattice(shape: Shape, rng: np.random.Generator) -> Floats:
+    """A random deformation of the shape, [SIDE^3, 3]."""
+    sizes = np.ptp(shape.vertices, axis=0)[None]
+    lattice: Floats = draw_lattices(rng, sizes, np.array([shape.mirror_axis]))[0]
+    return lattice
+
+
+def deformed(shape: Shape, lattice: Floats) -> Floats:
+    """The vertices [V, 3] of the shape after a deformation by ``lattice``, normalised again."""
     low, high = shape.vertices.min(0), shape.vertices.max(0)
-    lattices = draw_lattices(rng, (high - low)[None], np.array([shape.mirror_axis]))
-    vertices, below, above = (torch.from_numpy(a)[None] for a in (shape.vertices, low, high))
-    points = warped(vertices, below, above, torch.from_numpy(lattices))[0].numpy()
+    vertices, below, above, nodes = (
+        torch.from_numpy(array)[None] for array in (shape.vertices, low, high, lattice)
+    )
+    points = warped(vertices, below, above, nodes)[0].numpy()
     low, high = points.min(0), points.max(0)
     normalised: Floats = (points - (low + high) / 2.0) / (high - low).max()
     return normalised

@@ -16,7 +16,8 @@ from .masks import GRID
 from .shapes import POINTS
 from .warps import STRENGTH, draw_lattices, warped
 
-# Kinds of start; all that are neither right nor near are other shapes.
+# Kinds of start; all that are neither right nor near are other shapes, or predictions of a network
+# (`predictions.PREDICTED_SHARE`).
 RIGHT_SHARE, NEAR_SHARE = 0.1, 0.2
 NEAR_STRENGTH = (0.05, 0.7)  # of the deformation of a near start
 NEAREST_SHARE = 0.4  # of the other shapes, among the nearest of the category
@@ -67,9 +68,13 @@ def draw(bank: Bank, rng: np.random.Generator, count: int) -> Batch:
     kind = rng.random(count)
     near = (kind >= RIGHT_SHARE) & (kind < RIGHT_SHARE + NEAR_SHARE)
     other = kind >= RIGHT_SHARE + NEAR_SHARE
+    predicted = other & (bank.prediction[scene] >= 0) & (kind >= 1.0 - bank.predicted_chance)
     start, shape = sample.clone(), bank.shape[scene]
     _warp(bank, start, shape, near, rng, NEAR_STRENGTH)
-    _replace_by_others(bank, start, shape, other, rng)
+    _replace_by_others(bank, start, shape, other & ~predicted, rng)
+    start[_to(bank, predicted)] = bank.predicted[_to(bank, bank.prediction[scene[predicted]])][
+        :, :points
+    ]
     counterpart = torch.where(_rows(bank, other), torch.nan, sample)
     _shift(start, rng)
     _strew(start, counterpart, rng)

@@ -20,7 +20,7 @@ from ...io.reading import shown
 from ...prior.file import packed_prior
 from ...version import __version__
 from ..state import MOMENTS, state_path
-from .config import AVERAGING, LEARNING_RATE, WEIGHT_DECAY, PriorConfig
+from .config import AVERAGING, LEARNING_RATE, OF_PREDICTIONS, WEIGHT_DECAY, PriorConfig
 
 FORMAT = "tso-prior-training-1"
 Weights = Mapping[str, NDArray[Any]]
@@ -122,7 +122,8 @@ def check_resumable(path: Path, config: PriorConfig) -> dict[str, Any]:
     step, settings = about.get("step"), about.get("settings")
     if not isinstance(step, int) or isinstance(step, bool) or step < 0:
         raise InputError(f"{file}: step in the state is {shown(step)}, expected a whole number")
-    for name, value in config.settings().items():
+    of_this_run: dict[str, Any] = dict.fromkeys(OF_PREDICTIONS) | config.settings()
+    for name, value in of_this_run.items():
         before = settings.get(name) if isinstance(settings, dict) else None
         if before != value:
             raise InputError(
