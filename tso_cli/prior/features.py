@@ -212,8 +212,9 @@ def _pull(
     node = backend.rows(owner[..., None], point)[..., 0]
     summed = backend.sums(node, of_cells, nodes)
     number = counted.sum(1)[:, None, None] + 1.0
+    summed = summed * (CELLS / number)
     mean = 12.0 * summed[..., :3] / (summed[..., 3:] + 0.3)
-    count = xp.log1p(summed[..., 3:] * (CELLS / number) * 0.5)
+    count = xp.log1p(0.5 * summed[..., 3:])
     share = 3.0 * weight.sum(1, keepdims=True) / number
     return mean[..., :2], mean[..., 2:], count, share + 0.0 * count
 

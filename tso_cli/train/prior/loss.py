@@ -24,12 +24,11 @@ from ...prior.features import (
 )
 from ...prior.network import fused, predict
 from ...prior.torch_backend import TORCH
+from .masks import HALF_SIDE
 
 if TYPE_CHECKING:
     from .starts import Batch
 
-# Half the side of the square that a batch's maps show.
-SHOWN = 0.9
 # This share of a batch is first moved by the network itself, so that it learns its second pass.
 SECOND_PASS = 0.4
 # Points of the start, and of the truth, that are compared in one step.
@@ -49,20 +48,24 @@ def loss(weights: Mapping[str, Tensor], batch: Batch, generator: torch.Generator
     Each start is moved as its first view, its second view, and both together ask for.
     """
     frame = _Frame.of(batch)
-    points = frame.points(batch.start)
+    points = start = frame.points(batch.start)
     if second := round(SECOND_PASS * len(points)):
         first = points[:second]
         with torch.no_grad():
-            step = _displacements(weights, frame.part(second), first, generator)[:, 2]
+            steps = _displacements(weights, frame.part(second), first, first, generator)
+            # In use there may be one view or several.
+            asked = torch.randint(steps.shape[1], (second,), generator=generator)
+            step = steps[torch.arange(second), asked.to(steps.device)]
         points = torch.cat([first + step, points[second:]])
     target = frame.points(batch.target)
     counterpart = frame.points(batch.counterpart)
-    result = points[:, None] + _displacements(weights, frame, points, generator)
+    result = points[:, None] + _displacements(weights, frame, start, points, generator)
     some = torch.randperm(points.shape[1], generator=generator)[:COMPARED].to(points.device)
     others = torch.randperm(target.shape[1], generator=generator)[:COMPARED].to(points.device)
     before = _chamfer(points[:, None], target, some, others)
-    error = (before - FLOOR).clamp_min(0.0) + FLOOR
-    left = (_chamfer(result, target, some, others) / error).clamp_max(MOST)  # [B, 3]
+    left = (_chamfer(result, target, some, others) / before.clamp_min(FLOOR)).clamp_max(
+        MOST
+    )  # [B, 3]
     known = ~counterpart.isnan().any(-1)  # [B, M]
     step = torch.where(known[..., None], counterpart - points, 0.0)
     apart = (result - points[:, None] - step[:, None]).square().sum(-1) * known[:, None]
@@ -89,20 +92,24 @@ class _Frame:
         left_out = int(LEFT_OUT * batch.start.shape[1])
         low, high = ordered[:, left_out], ordered[:, -1 - left_out]
         centre, scale = (low + high) / 2.0, (high - low).amax(1)
-        rotation, closeness = batch.rotation, batch.closeness
-        middle = torch.einsum("bvij,bj->bvi", rotation, centre)
-        depth = 1.0 + closeness * middle[..., 2]
+        closeness = batch.closeness
+        # The middle of the start, in units of the distance of the camera: it comes to the axis.
+        middle = torch.einsum("bvij,bj->bvi", batch.rotation, centre)
+        toward = closeness[..., None] * middle + middle.new_tensor([0.0, 0.0, 1.0])
+        turn, away = _turn_to_front(toward), toward.norm(dim=-1)
         grid = torch.arange(GRID, device=scale.device, dtype=scale.dtype) * CELL + CELL / 2 - HALF
         places = torch.stack(torch.meshgrid(grid, grid, indexing="xy"), -1)
-        places = middle[..., None, None, :2] + scale[:, None, None, None, None] * places
-        places = (places / depth[..., None, None, None]).flatten(0, 1) / SHOWN
+        places = torch.einsum("ijk,bvkl->bvijl", places, turn[:, :, :2])
+        places = middle[:, :, None, None] + scale[:, None, None, None, None] * places
+        depth = 1.0 + closeness[..., None, None, None] * places[..., 2:]
+        places = (places[..., :2] / depth).flatten(0, 1) / HALF_SIDE
         shown = torch.stack([batch.distance, batch.known], 2).flatten(0, 1)
         shown = functional.grid_sample(shown, places, padding_mode="border", align_corners=False)
         shown = shown.unflatten(0, closeness.shape)
-        distance = shown[:, :, 0] / (scale[:, None] / depth)[..., None, None]
-        closer = closeness * scale[:, None] / depth
+        distance = shown[:, :, 0] * (away / scale[:, None])[..., None, None]
         known = (shown[:, :, 1] > 0.5).to(distance)
-        return cls(centre, scale, rotation, closer, distance, known)
+        closer = closeness * scale[:, None] / away
+        return cls(centre, scale, turn @ batch.rotation, closer, distance, known)
 
     def points(self, points: Tensor) -> Tensor:
         """[B, N, 3] in this frame."""
@@ -113,15 +120,32 @@ class _Frame:
         return _Frame(*(value[:count] for value in vars(self).values()))
 
 
+def _turn_to_front(direction: Tensor) -> Tensor:
+    """[..., 3, 3], the least rotation of each ``direction`` [..., 3] to the z axis."""
+    x, y, z = (direction / direction.norm(dim=-1, keepdim=True)).unbind(-1)
+    zero = torch.zeros_like(x)
+    rows = [torch.stack(row, -1) for row in ((zero, zero, -x), (zero, zero, -y), (x, y, zero))]
+    across = torch.stack(rows, -2)
+    identity = torch.eye(3, dtype=x.dtype, device=x.device)
+    return identity + across + across @ across / (1.0 + z)[..., None, None]
+
+
 def _displacements(
-    weights: Mapping[str, Tensor], frame: _Frame, points: Tensor, generator: torch.Generator
+    weights: Mapping[str, Tensor],
+    frame: _Frame,
+    start: Tensor,
+    points: Tensor,
+    generator: torch.Generator,
 ) -> Tensor:
-    """[B, 3, M, 3]: as the first view, the second view and both ask for, in axes of the cloud."""
+    """[B, 3, M, 3]: as the first view, the second view and both ask for, in axes of the cloud.
+
+    ``points`` [B, M, 3] is where the ``start`` [B, M, 3] has got to.
+    """
     batch, count = points.shape[:2]
     nodes = min(NODES, count)
     with torch.no_grad():
         given = _features(frame, points, nodes, generator)
-        index, share = _interpolation(points, nodes)
+        index, share = _interpolation(start, nodes)
     displacements, log_weights = predict(TORCH, weights, given)
     displacements, log_weights = (
         values.unflatten(0, (batch, 2)) for values in (displacements, log_weights)

@@ -15,14 +15,15 @@ import torch
 from ... import render
 from ...errors import InputError, needed_by
 from ...geometry.arrays import Array, Floats, Indices
-from ...geometry.camera import CANONICAL_ROTATION
+from ...geometry.camera import CANONICAL_ROTATION, Camera, intrinsics
 from ...geometry.view import View
 from ...io.checkpoints import load_network
 from ...io.meshes import Mesh
 from ...io.shipped import CATEGORIES, DEFAULT, named_checkpoint
 from ...network.input import network_input
 from ...render.variation import paint
-from .scenes import LEAST_FOREGROUND, MOST_DRAWS, Scene, deformed
+from .masks import HALF_SIDE
+from .scenes import LEAST_FOREGROUND, Scene, deformed
 from .shapes import POINTS, Progress, ShapeSet
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ PREDICTED_SHARE = 0.1
 PICTURE = 128
 # Pictures that the network sees at once.
 BATCH = 32
+# An orthographic view has the picture of a camera that is far away.
+SMALLEST_CLOSENESS = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,15 +156,17 @@ def _seen(
     shape = shapes.shapes[scene.shape]
     vertices = shape.vertices if scene.lattice is None else deformed(shape, scene.lattice)
     mesh = paint(Mesh(vertices.astype(np.float64), shape.faces.astype(np.int64)), rng)
-    settings, rays = render.RenderSettings(views=1, size=(PICTURE, PICTURE)), render.RayScene(mesh)
-    for _ in range(MOST_DRAWS):
-        (camera,) = render.sample_cameras(settings, mesh.vertices, rng)
-        picture = render.render_view(rays, camera, rng)
-        if (picture.mask > 127).sum() >= LEAST_FOREGROUND:
-            view = View(picture.mask.astype(np.float32) / 255.0, camera, name=shape.name)
-            crop = about.image_size, about.crop_share, about.background
-            image = network_input(picture.image, view, *crop).image
-            # The axes of a view-aligned network: x right, y up, z toward the viewer.
-            turn = CANONICAL_ROTATION @ camera.R if about.frame == "view" else np.eye(3)
-            return turn, image
-    return None
+    # The photo and the mask of a refinement are one picture: the first view of the scene.
+    distance = 1.0 / max(float(scene.closeness[0]), SMALLEST_CLOSENESS)
+    K = intrinsics(distance * PICTURE / (2.0 * HALF_SIDE), PICTURE, PICTURE)
+    rotation = scene.rotation[0].astype(np.float64)
+    camera = Camera(K, rotation, np.array([0.0, 0.0, distance]), PICTURE, PICTURE)
+    picture = render.render_view(render.RayScene(mesh), camera, rng)
+    mask = picture.mask.astype(np.float32) / 255.0
+    if not LEAST_FOREGROUND <= (mask > 0.5).sum() < mask.size:
+        return None
+    crop = about.image_size, about.crop_share, about.background
+    image = network_input(picture.image, View(mask, camera, name=shape.name), *crop).image
+    # The axes of a view-aligned network: x right, y up, z toward the viewer.
+    turn = CANONICAL_ROTATION @ camera.R if about.frame == "view" else np.eye(3)
+    return turn, image
