@@ -54,7 +54,10 @@ def test_a_prior_of_ones_own_moves_the_cloud_where_the_mask_agrees(folder, refin
         ("mask.png", "mask.png: is damaged or of another kind"),
         ("half.safetensors", "half.safetensors: is damaged or of another kind"),
         ("nan.safetensors", "nan.safetensors: tensor view1 holds NaN or infinite"),
-        ("short.safetensors", "short.safetensors: tensor view1 has shape [3], expected ["),
+        (
+            "short.safetensors",
+            "short.safetensors: tensor view1 is float16 of shape [3], expected float16",
+        ),
         ("less.safetensors", "less.safetensors: has no tensor view1, expected shape ["),
         ("network.safetensors", "network.safetensors: the format in its metadata is"),
     ],

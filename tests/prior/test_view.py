@@ -40,8 +40,9 @@ def assert_disc(shown, radius, tolerance):
     np.testing.assert_allclose(shown.distance[inner], away[inner] - radius, atol=tolerance)
 
 
-def shown(view, frame, known=None):
-    return Shown.of(view.camera, MaskTarget.of(view.mask), known, frame)
+def shown(view, frame, start=None, known=None, truncated=False):
+    target = MaskTarget.of(view.mask, known, truncated=truncated)
+    return Shown.of(view.camera, target, start, frame)
 
 
 def test_the_distance_to_a_mask_is_the_euclidean_one():
@@ -94,8 +95,7 @@ def test_beyond_the_border_of_a_truncated_picture_nothing_is_known():
     camera = Camera(K, np.eye(3), [0.5, 0.0, 5.0], 64, 64, "orthographic")
     view = ball_in(camera)
     assert view.truncated
-    target = MaskTarget.of(view.mask, truncated=True)
-    found = Shown.of(view.camera, target, None, Frame(np.zeros(3), 1.0))
+    found = shown(view, Frame(np.zeros(3), 1.0), truncated=True)
     # The right border of the picture is at 32 / 50 - 0.5 in units of the cloud.
     np.testing.assert_array_equal(found.known[GRID // 2], CENTRES < 0.14)
     assert found.cells[:, 0].max() < 0.14
@@ -123,7 +123,7 @@ def test_a_cloud_and_a_camera_that_are_turned_together_move_alike():
     steps = []
     for cloud, seen_by in ((points, view.camera), (points @ turn.T, camera)):
         frame = Frame(np.zeros(3), 1.0)
-        of_view = Shown.of(seen_by, MaskTarget.of(view.mask), None, frame)
+        of_view = Shown.of(seen_by, MaskTarget.of(view.mask), cloud, frame)
         # The same points are nodes, whichever way the curve runs.
         scene = SeenCloud(cloud, frame, [of_view])
         scene.__dict__["_chosen"] = np.arange(512)
@@ -140,3 +140,70 @@ def test_points_of_the_sample_are_as_dense_as_the_cloud():
     assert len(set(chosen)) == 512
     assert (chosen >= 4500).mean() == pytest.approx(0.1, abs=0.03)
     assert (chosen[:128] >= 4500).mean() == pytest.approx(0.1, abs=0.05)
+
+
+def test_an_object_off_the_axis_of_the_picture_is_measured_in_units_of_the_cloud():
+    """At 35 degrees the picture of a ball is an ellipse; in the view's own axes it is a disc."""
+    K = np.array([[60.0, 0.0, 127.5], [0.0, 60.0, 127.5], [0.0, 0.0, 1.0]])
+    camera = Camera(K, np.eye(3), [0.7 * 1.5, 0.0, 1.5], 256, 256)
+    found = shown(ball_in(camera), Frame(np.zeros(3), 1.0))
+    away = np.hypot(*np.meshgrid(CENTRES, CENTRES))
+    expected = away - 0.4 / np.sqrt(1.0 - (0.4 * found.closeness) ** 2)
+    near = np.abs(expected) < 0.15
+    slope = np.polyfit(expected[near], found.distance[near], 1)[0]
+    assert slope == pytest.approx(1.0, abs=0.06)
+
+
+def test_what_lies_behind_a_wide_camera_is_unknown():
+    K = np.array([[30.0, 0.0, 63.5], [0.0, 30.0, 63.5], [0.0, 0.0, 1.0]])
+    direction = np.array([np.sin(np.radians(60.0)), 0.0, np.cos(np.radians(60.0))])
+    camera = Camera(K, np.eye(3), 1.2 * direction, 128, 128)
+    found = shown(ball_in(camera), Frame(np.zeros(3), 1.0))
+    assert np.isfinite(found.distance).all()
+    assert 0.0 < found.known.mean() < 1.0
+    at_camera = Camera(K, np.eye(3), [0.0, 0.0, 0.0], 128, 128)
+    view = View(ball_in(camera).mask, at_camera)
+    assert shown(view, Frame(np.zeros(3), 1.0)) is None
+
+
+def test_ignored_pixels_are_as_in_the_silhouette_of_the_start():
+    """The right half is ignored: there the start, a ball of its own, is shown."""
+    camera = look_at(0.0, 0.0, 2.0, (64, 64))
+    rng = np.random.default_rng(0)
+    start = rng.normal(size=(2000, 3))
+    start *= 0.3 / np.linalg.norm(start, axis=1, keepdims=True)
+    known = np.ones((64, 64))
+    known[:, 32:] = 0.0
+    found = shown(ball_in(camera), Frame(np.zeros(3), 1.0), start, known)
+    x, y = np.meshgrid(CENTRES, CENTRES)
+    away, right = np.hypot(x, y), x > 0.1
+    inside = found.distance < 0.0
+    assert (inside == (away < np.where(right, 0.3, 0.41)))[np.abs(x) > 0.1].mean() > 0.97
+    assert found.known.all()
+
+
+def test_the_cut_of_a_truncated_picture_is_no_outline():
+    """The window reaches beyond the picture, whose border cuts the ball in the middle."""
+    K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 31.5], [0.0, 0.0, 1.0]])
+    camera = Camera(K, np.eye(3), [0.0, 0.0, 5.0], 64, 64, "orthographic")
+    mask = ball_in(camera).mask.copy()
+    mask[:, 32:] = 0.0
+    target = MaskTarget.of(mask, bounds=(-0.5, -0.5, 31.5, 63.5), truncated=True)
+    found = Shown.of(camera, target, None, Frame(np.zeros(3), 1.0))
+    x, y = np.meshgrid(CENTRES, CENTRES)
+    shown_part = (np.abs(x + 0.32) < 0.32) & (np.abs(y) < 0.64)
+    np.testing.assert_array_equal(found.known, shown_part)
+    # At the cut the middle of the ball is as far from the outline as before.
+    middle = (np.abs(y) < 0.03) & (np.abs(x + 0.05) < 0.03)
+    assert found.distance[middle].max() < -0.3
+
+
+def test_a_whole_object_in_a_tight_picture_is_known_all_around():
+    K = np.array([[50.0, 0.0, 31.5], [0.0, 50.0, 31.5], [0.0, 0.0, 1.0]])
+    camera = Camera(K, np.eye(3), [0.0, 0.0, 5.0], 64, 64, "orthographic")
+    known = np.zeros((64, 64))
+    known[10:54, 10:54] = 1.0
+    mask = MaskTarget.of(ball_in(camera).mask, known, (9.5, 9.5, 53.5, 53.5))
+    found = Shown.of(camera, mask, None, Frame(np.zeros(3), 1.0))
+    assert found.known.all()
+    assert_disc(found, 0.4, 0.025)

@@ -67,11 +67,17 @@ def digest_of(path: Path) -> str:
 def key_of(given: Mapping[str, Any], digests: Iterable[str]) -> str:
     """What no other run has: the version, the options given, and the files' contents."""
     settings = {
-        name: value for name, value in sorted(given.items())
-        if name not in OF_OUTPUT and not _has_path(value)
+        name: str(value) if _is_word(name, value) else value
+        for name, value in sorted(given.items())
+        if name not in OF_OUTPUT and (_is_word(name, value) or not _has_path(value))
     }  # fmt: skip
     text = json.dumps([__version__, settings, list(digests)], default=str)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _is_word(name: str, value: Any) -> bool:
+    """Whether an option has a word in place of a file."""
+    return str(value) in options.WORDS.get(name, ())
 
 
 def _has_path(value: Any) -> bool:
@@ -89,7 +95,7 @@ def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         return relative(value, folder) if isinstance(value, Path) else value
 
     return {
-        name: str(value) if str(value) in options.WORDS.get(name, ()) else stored(value)
+        name: str(value) if _is_word(name, value) else stored(value)
         for name, value in given.items()
         if name not in OF_RUN
     }

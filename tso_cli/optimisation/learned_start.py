@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,6 +21,8 @@ PASSES = 2
 # The root mean square of the first step, in longest sides: a start that is right is asked to move
 # by less than the first, another shape by more than the second. Between them the step is scaled.
 RIGHT, OTHER = 0.006, 0.012
+# The share of the time left that the prior may take.
+TIME_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,35 +39,43 @@ class Beginning:
 
 
 def beginning(
-    problem: Problem, weights: Sequence[float], field: SmoothField, prior: LearnedPrior | None
+    problem: Problem,
+    weights: Sequence[float],
+    field: SmoothField,
+    prior: LearnedPrior | None,
+    until: float = math.inf,
 ) -> Beginning:
     """The start of the ``problem``, moved as the ``prior`` asks for where the masks agree.
 
-    ``weights`` are of the given views; ``field`` is of the start.
+    ``weights`` are of the given views; ``field`` is of the start. The prior may take a share of the
+    time left ``until`` then (`time.perf_counter`); what is not done by then is left out.
     """
     start = problem.cloud.start
     if prior is None:
         return Beginning(start)
-    all_weights = problem.all_weights(weights)
-    targets = problem.targets(weights)
-    objective = MaskChamferObjective(
-        targets, START_ROBUST_SCALE, targets.resolvability(start, field)
-    )
-    frame = Frame.of(start)
+    now = time.perf_counter()
+    end = now + TIME_SHARE * (until - now)
+    targets, frame = problem.targets(weights), Frame.of(start)
     shown = [
-        Shown.of(view.camera, view.target, view.known, frame, weight)
-        for view, weight in zip(problem.resampled, all_weights, strict=True)
+        Shown.of(view.camera, view.target, start, frame, weight)
+        for view, weight in zip(problem.resampled, problem.all_weights(weights), strict=True)
         if weight > 0.0
     ]
-    seen = SeenCloud(start, frame, shown)
-    points, lowest, taken = start, objective(start)[0], 1.0
-    for number in range(PASSES):
-        step = seen.step(prior, points)
-        if number == 0:
-            moved = float(np.sqrt(np.square(step).sum(1).mean()) / frame.scale)
-            taken = float(np.clip((moved - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
+    seen = SeenCloud(start, frame, [view for view in shown if view is not None])
+    if not seen.views:
+        return Beginning(start)
+    resolvability = targets.resolvability(start, field)
+    objective = MaskChamferObjective(targets, START_ROBUST_SCALE, resolvability)
+    points, lowest, taken = start, objective(start)[0], None
+    for _ in range(PASSES):
+        step = seen.step(prior, points, end)
+        if step is None:
+            break
+        if taken is None:
+            asked = float(np.sqrt(np.square(step).sum(1).mean())) / frame.scale
+            taken = float(np.clip((asked - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
         loss = objective(points + taken * step)[0] if taken else np.inf
         if not loss < lowest:
             break
         points, lowest = points + taken * step, loss
-    return Beginning(points, 1.0 - taken)
+    return Beginning(points, 0.0 if taken is None else 1.0 - taken)

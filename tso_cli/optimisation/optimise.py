@@ -12,9 +12,8 @@ from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array
 from ..losses.chamfer import ChamferToStart
 from ..losses.photometric import Photo, PhotometricTerm
-from ..prior import LearnedPrior
 from .adam import Adam
-from .learned_start import beginning
+from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import SilhouetteObjective
 from .parameters import PointParameters
@@ -60,13 +59,13 @@ def optimise(
     settings: Settings,
     steps: int,
     network: Parameters | None = None,
-    prior: LearnedPrior | None = None,
+    begin: Beginning | None = None,
     on_progress: Progress | None = None,
     until: float = math.inf,
 ) -> tuple[Optimised, Problem]:
     """Move the cloud, or the ``network`` that predicts it, until it agrees with its views.
 
-    The learned ``prior`` moves the cloud first where the default preset moves points.
+    The default preset in points mode begins at ``begin``, without it at the start.
 
     Returns what was found, and the problem with its last windows.
     """
@@ -88,7 +87,7 @@ def optimise(
             weighed.field,
             settings.coarse_to_fine,
             settings.learning_rate,
-            beginning(problem, weights, weighed.field, prior if steps else None),
+            begin,
             observations=problem.observations(weights),
             stage_terms=stage_terms,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -48,10 +49,15 @@ def read_prior(path: Path) -> tuple[Arrays, dict[str, Any]]:
 
     Raises InputError if the file is none that `write_prior` has written.
     """
+    return _parsed(path, read_bytes(path, EXPECTED, limit=LARGEST))
+
+
+@functools.lru_cache(maxsize=2)
+def _parsed(path: Path, data: bytes) -> tuple[Arrays, dict[str, Any]]:
+    """A batch parses its prior once."""
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
-    data = read_bytes(path, EXPECTED, limit=LARGEST)
     try:
         about = _about(data)
         weights = load(data)
@@ -66,9 +72,11 @@ def read_prior(path: Path) -> tuple[Arrays, dict[str, Any]]:
     for name, shape in shapes().items():
         if name not in weights:
             raise InputError(f"{path}: has no tensor {name}, expected shape {list(shape)}")
-        if weights[name].shape != shape or weights[name].dtype.kind != "f":
-            found = f"tensor {name} has shape {list(weights[name].shape)}"
-            raise InputError(f"{path}: {found}, expected {list(shape)} of floating-point numbers")
+        if weights[name].shape != shape or weights[name].dtype != np.float16:
+            found = f"{weights[name].dtype} of shape {list(weights[name].shape)}"
+            raise InputError(
+                f"{path}: tensor {name} is {found}, expected float16 of shape {list(shape)}"
+            )
         if not np.isfinite(weights[name]).all():
             raise InputError(f"{path}: tensor {name} holds NaN or infinite, expected numbers")
     return {name: weights[name].astype(np.float64) for name in shapes()}, about

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import functools
+import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -45,14 +46,7 @@ def named_prior(name: str) -> LearnedPrior | None:
     """The prior of a name: "learned", "none" or a file; InputError as `read_prior`."""
     if name == NO_PRIOR:
         return None
-    path = shipped_prior() if name == LEARNED else Path(name)
-    return _read(path, path.stat().st_mtime_ns if path.is_file() else 0)
-
-
-@functools.lru_cache(maxsize=2)
-def _read(path: Path, _changed: int) -> LearnedPrior:
-    """A batch reads its prior once."""
-    return LearnedPrior.read(path)
+    return LearnedPrior.read(shipped_prior() if name == LEARNED else Path(name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +66,7 @@ class SeenCloud:
         """
         along = _along_curve(self.start)
         count = min(DENSE, len(along))
-        dense = along[(np.arange(count) + 0.5).astype(int) * len(along) // count]
-        nodes = (np.arange(min(NODES, count)) + 0.5) * count / min(NODES, count)
-        first = nodes.astype(int)
+        dense, first = along[_every(len(along), count)], _every(count, min(NODES, count))
         return np.concatenate([dense[first], np.delete(dense, first)])
 
     @cached_property
@@ -84,32 +76,45 @@ class SeenCloud:
         distance = np.linalg.norm(self.start[:, None] - nodes[index], axis=2)
         return index, falling_weights(distance)
 
-    def step(self, prior: LearnedPrior, points: Array) -> Array:
-        """[N, 3]: how ``points`` [N, 3], where the start has got to, should move."""
-        nodes = min(NODES, len(points))
+    def step(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Array | None:
+        """[N, 3]: how ``points`` [N, 3], where the start has got to, should move.
+
+        None where the time is over before all views have been asked (`time.perf_counter`), or where
+        the answer is not finite.
+        """
         dense = (points[self._chosen] - self.frame.centre) / self.frame.scale
-        rotations = np.stack([view.rotation for view in self.views])
-        most = max(len(view.cells) for view in self.views)
-        cells, counted = np.zeros((len(self.views), most, 2)), np.zeros((len(self.views), most))
-        for number, view in enumerate(self.views):
-            cells[number, : len(view.cells)] = view.cells
-            counted[number, : len(view.cells)] = 1.0
-        given = features(
-            NUMPY,
-            np.einsum("vij,nj->vni", rotations, dense),
-            nodes,
-            np.array([view.closeness for view in self.views]),
-            np.stack([view.distance for view in self.views]),
-            np.stack([view.known for view in self.views]),
-            cells,
-            counted,
-        )
-        displacements, log_weights = predict(NUMPY, prior.weights, given)
-        log_weights += np.log([view.weight for view in self.views])[:, None, None]
-        of_nodes = fused(NUMPY, displacements[None], log_weights[None], rotations[None])[0]
+        answers = []
+        for view in self.views:
+            if time.perf_counter() > until:
+                return None
+            answers.append(self._answer(prior, dense, view))
+        displacements, log_weights = (np.stack(part)[None] for part in zip(*answers, strict=True))
+        rotations = np.stack([view.rotation for view in self.views])[None]
+        of_nodes = fused(NUMPY, displacements, log_weights, rotations)[0]
         index, share = self._interpolation
         step: Array = self.frame.scale * np.einsum("nk,nkc->nc", share, of_nodes[index])
-        return step
+        return step if np.isfinite(step).all() else None
+
+    def _answer(self, prior: LearnedPrior, dense: Array, view: Shown) -> tuple[Array, Array]:
+        """Displacements [M, 3] of the nodes in the axes of a view, and logarithms of weights."""
+        given = features(
+            NUMPY,
+            (dense @ view.rotation.T)[None],
+            min(NODES, len(dense)),
+            np.array([view.closeness]),
+            view.distance[None],
+            view.known[None],
+            view.cells[None],
+            np.ones((1, len(view.cells))),
+        )
+        (displacements,), (log_weights,) = predict(NUMPY, prior.weights, given)
+        return displacements, log_weights + np.log(view.weight)
+
+
+def _every(total: int, count: int) -> Indices:
+    """[count] whole numbers under ``total``, evenly spaced."""
+    chosen: Indices = ((np.arange(count) + 0.5) * total / count).astype(np.int64)
+    return chosen
 
 
 def _along_curve(points: Array) -> Indices:

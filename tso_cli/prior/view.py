@@ -6,10 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..evaluation.footprint import footprint
 from ..geometry.arrays import Array, Bits, Box
-from ..geometry.camera import Camera
+from ..geometry.camera import NEAR, Camera
 from ..losses.mask_chamfer import MaskTarget
-from .features import CELL, GRID, HALF, LEFT_OUT
+from .features import CELL, FAR, GRID, HALF, LEFT_OUT
+
+
+# Added to each side of a box of longest side 1 before its volume is taken.
+THIN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -26,13 +31,16 @@ class Frame:
         A cloud that lies at an angle to its axes has too large a box there.
         """
         middle = points.mean(0)
-        _, principal = np.linalg.eigh(np.cov((points - middle).T))
+        _, principal = np.linalg.eigh((points - middle).T @ (points - middle))
         found = []
         for axes in (np.eye(3), principal):
             low, high = trimmed_box((points - middle) @ axes)
-            found.append((np.prod(high - low), middle + axes @ (low + high) / 2.0, high - low))
-        _, centre, extent = min(found, key=lambda one: one[0])
-        return cls(centre, float(extent.max()) or 1.0)
+            extent = high - low
+            scale = float(extent.max()) or 1.0
+            # A flat cloud has an area in place of a volume.
+            volume = np.prod(extent / scale + THIN) * scale**3
+            found.append((volume, cls(middle + axes @ (low + high) / 2.0, scale)))
+        return min(found, key=lambda one: one[0])[1]
 
 
 def trimmed_box(points: Array) -> tuple[Array, Array]:
@@ -60,38 +68,66 @@ class Shown:
 
     @classmethod
     def of(
-        cls,
-        camera: Camera,
-        mask: MaskTarget,
-        known: Array | None,
-        frame: Frame,
-        weight: float = 1.0,
-    ) -> Shown:
-        """``known`` [H, W] is of the cells of the ``mask``, None where all of it is known."""
+        cls, camera: Camera, mask: MaskTarget, start: Array, frame: Frame, weight: float = 1.0
+    ) -> Shown | None:
+        """What a ``camera`` shows of the ``start`` [N, 3], by the cells of its ``mask``.
+
+        None where the frame of the start is at the camera.
+        """
         middle = camera.R @ frame.centre + camera.t
         rotation, closeness = camera.R, 0.0
-        focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
+        per_unit = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
         if camera.model == "perspective":
-            rotation = turn_to_front(middle) @ camera.R
             away = float(np.linalg.norm(middle))
-            closeness, focal = frame.scale / away, focal / away
+            if middle[2] < NEAR or away < NEAR:
+                return None
+            rotation, closeness = turn_to_front(middle) @ camera.R, frame.scale / away
+            # Off the axis of the picture an object is stretched away from the middle.
+            per_unit /= away * (middle[2] / away) ** 1.5
         centres = (np.arange(GRID) + 0.5) * CELL - HALF
         w = np.stack(np.meshgrid(centres, centres), -1).reshape(-1, 2)
-        places, _ = camera.project(frame.centre + frame.scale * w @ rotation[:2])
-        height, width = mask.inside.shape
-        inner = np.clip(places, 0.0, (width - 1.0, height - 1.0))
-        beyond = np.linalg.norm(places - inner, axis=1)
-        distance = _bilinear(signed_distance(mask.inside), inner)
-        pixel = np.rint(inner).astype(int)
-        is_known = np.ones(len(w), bool) if known is None else known[pixel[:, 1], pixel[:, 0]] > 0.5
-        if mask.truncated:
-            # Beyond the border of the picture the object may go on.
-            is_known &= mask.in_image(places)
-            beyond = np.where(mask.in_image(places), beyond, 0.0)
-        distance = (distance + beyond) / (focal * frame.scale)
-        cells = w[(distance < 0.0) & is_known]
-        distance, shown = distance.reshape(GRID, GRID), is_known.reshape(GRID, GRID)
-        return cls(rotation, closeness, weight, distance, shown.astype(float), cells)
+        places, depth = camera.project(frame.centre + frame.scale * w @ rotation[:2])
+        seen = np.isfinite(places).all(1) & (depth > NEAR)
+        places = np.where(seen[:, None], places, 0.0)
+        left, top, right, bottom = _picture(mask)
+        inner = np.clip(places, (left, top), (right - 1.0, bottom - 1.0))
+        inside = _imputed(mask, start, camera)[top:bottom, left:right]
+        distance = _bilinear(signed_distance(inside), inner - (left, top))
+        known = seen & mask.in_image(places) if mask.truncated else seen
+        if not mask.truncated:
+            distance += np.linalg.norm(places - inner, axis=1)
+        distance = np.where(seen, distance / (per_unit * frame.scale), FAR)
+        cells = w[(distance < 0.0) & known]
+        maps = (distance.reshape(GRID, GRID), known.reshape(GRID, GRID).astype(float))
+        return cls(rotation, closeness, weight, maps[0], maps[1], cells)
+
+
+def _picture(mask: MaskTarget) -> tuple[int, int, int, int]:
+    """The cells that show what is known: left, top, right and bottom, the last two exclusive.
+
+    Beyond the border of the picture there is background, unless the object goes on there.
+    """
+    height, width = mask.inside.shape
+    if not mask.truncated:
+        return 0, 0, width, height
+    left, top = (max(0, int(np.ceil(edge))) for edge in mask.bounds[:2])
+    right, bottom = (int(np.floor(edge)) + 1 for edge in mask.bounds[2:])
+    return left, top, min(right, width), min(bottom, height)
+
+
+def _imputed(mask: MaskTarget, start: Array, camera: Camera) -> Bits:
+    """[H, W], the foreground; ignored cells are as in the silhouette of the ``start`` [N, 3].
+
+    The network has never seen a hole in what is known.
+    """
+    height, width = mask.inside.shape
+    across, down = np.meshgrid(np.arange(width), np.arange(height))
+    centres = np.stack([across, down], -1).reshape(-1, 2).astype(float)
+    shown = mask.in_image(centres).reshape(height, width)
+    ignored = shown & ~mask.inside & ~mask.outside
+    if not ignored.any():
+        return mask.inside
+    return np.where(ignored, footprint(start, camera), mask.inside)
 
 
 def turn_to_front(direction: Array) -> Array:
@@ -125,10 +161,10 @@ def _distance_to(marked: Bits) -> Array:
 def _bilinear(values: Array, places: Array) -> Array:
     """``values`` [H, W] at ``places`` [N, 2], which are within them."""
     height, width = values.shape
-    x = np.minimum(places[:, 0].astype(int), width - 2)
-    y = np.minimum(places[:, 1].astype(int), height - 2)
+    x, y = places.astype(int).T
     right, down = (places - np.stack([x, y], 1)).T
-    upper = (1.0 - right) * values[y, x] + right * values[y, x + 1]
-    lower = (1.0 - right) * values[y + 1, x] + right * values[y + 1, x + 1]
+    x_next, y_next = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
+    upper = (1.0 - right) * values[y, x] + right * values[y, x_next]
+    lower = (1.0 - right) * values[y_next, x] + right * values[y_next, x_next]
     found: Array = (1.0 - down) * upper + down * lower
     return found

@@ -176,7 +176,7 @@ def _why_unknown(
     """Why there is no confidence, as a name and in words; None where there is one."""
     steps = len(optimised.losses) - 1 if optimised.out_of_time else settings.steps
     points = len(problem.cloud.control_points)
-    few = len(optimised.stages) < len(STAGES) or steps < FEWEST_STEPS
+    few = len(optimised.stages) != len(STAGES) or steps < FEWEST_STEPS
     # The confidence counts on a symmetry check of a cloud that has a mirror plane.
     late = (optimised.out_of_time and few) or problem.symmetry.outcome == "unchecked"
     reasons = (

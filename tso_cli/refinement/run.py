@@ -12,6 +12,7 @@ from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypothesis, verify_plane
 from ..geometry.arrays import Array
 from ..optimisation.camera_correction import corrected_cameras
+from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import WeighedProblem, optimise, steps_for, weigh
 from ..optimisation.problem import Problem, prepare
@@ -48,11 +49,15 @@ def run(
     if not clock.interrupted:
         with clock.phase("prepare"):
             settings = replace(settings, steps=steps_for(weighed, settings))
+    until = clock.until(settings.seconds)
+    begin = None
+    if weighed.field and settings.steps and prior is not None:
+        of_start = weighed.problem, weighed.weights.loss, weighed.field
+        begin = clock.attempt("move", partial(beginning, *of_start, prior, until), None)
     report = on_progress and _in_unit_of(problem.cloud, on_progress)
     steps = 0 if clock.interrupted else settings.steps
     with clock.phase("optimise"):
-        until = clock.until(settings.seconds)
-        optimised, problem = optimise(weighed, settings, steps, network, prior, report, until)
+        optimised, problem = optimise(weighed, settings, steps, network, begin, report, until)
     if clock.interrupted:
         optimised = replace(optimised, interrupted=True)
     with clock.phase("judge"):
@@ -62,6 +67,7 @@ def run(
 def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, ControlledCloud]:
     """What `run` finds before it moves anything; raises InputError as it does."""
     clock = Clock()
+    named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
     diagnosis = _examined(scene, cloud, settings)
     if diagnosis.weak:

@@ -81,6 +81,7 @@ def seen(monkeypatch):
         return turn, np.zeros((3, 64, 64), np.float32)
 
     monkeypatch.setattr(module, "_seen", see)
+    monkeypatch.setattr(module, "_is_upright", lambda scene: True)
     return turn
 
 
@@ -107,6 +108,18 @@ def test_only_scenes_of_known_categories_have_predictions(shapes, seen):
         assert (number >= 0) == (shapes.shapes[scene.shape].category == "car")
     with pytest.raises(InputError, match="none of the scenes shows sofa or table"):
         draw_predictions(Known(None, None, ("sofa", "table"), ""), shapes, scenes, 9, seed=0)
+
+
+def test_up_is_up_in_the_pictures_that_are_predicted_from(shapes, seen, monkeypatch):
+    monkeypatch.undo()
+    monkeypatch.setattr(module, "_seen", lambda *scene: (seen, np.zeros((3, 64, 64), np.float32)))
+    scenes = draw_scenes(shapes, 30, 0)
+    found = draw_predictions(Known(None, None, None, ""), shapes, scenes, 99, seed=0)
+    up = np.stack([scene.rotation[0][:, 1] for scene in scenes])
+    predicted = found.of_scene >= 0
+    assert 5 < predicted.sum() < 25
+    assert (up[predicted, 1] < -0.7).all()
+    assert (np.abs(up[~predicted, 0]) + 1.0 + up[~predicted, 1] > 0.2).all()
 
 
 def test_a_bank_has_the_predictions(shapes):

@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 PREDICTED_SHARE = 0.1
 # Pixels along a side of a picture: finer than the network's crop of it.
 PICTURE = 128
+# Where the y axis of the object, a unit vector, points in the picture: at most to a side, and at
+# least upward.
+MOST_ASIDE, LEAST_UPRIGHT = 0.2, 0.75
 # Pictures that the network sees at once.
 BATCH = 32
 # An orthographic view has the picture of a camera that is far away.
@@ -115,8 +118,11 @@ def draw_predictions(
 
     Raises InputError if no scene is of such a category, or none can be seen.
     """
-    categories = [shapes.shapes[scene.shape].category for scene in scenes]
-    known = [number for number, name in enumerate(categories) if predictor.knows(name)]
+    known = [
+        number
+        for number, scene in enumerate(scenes)
+        if predictor.knows(shapes.shapes[scene.shape].category) and _is_upright(scene)
+    ]
     if not known:
         found = (
             f"`predicted_by`: none of the scenes shows {' or '.join(predictor.categories or ())}"
@@ -144,6 +150,12 @@ def draw_predictions(
         raise InputError("`predicted_by`: no scene can be seen in a picture, expected some")
     chance = min(1.0, PREDICTED_SHARE * len(known) / len(clouds))
     return Predictions(np.stack(clouds), of_scene, chance)
+
+
+def _is_upright(scene: Scene) -> bool:
+    """Whether up is up in the first view of a scene, as in the photos that networks learn from."""
+    right, down, _ = scene.rotation[0][:, 1]
+    return abs(right) < MOST_ASIDE and -down > LEAST_UPRIGHT
 
 
 def _seen(
