@@ -112,3 +112,18 @@ def test_a_file_whose_name_is_a_word_is_meant_with_its_folder(folder, refine, ow
     assert (
         refine(*POINTS, "--prior", "./none", "--steps", "1", "--json").document["prior"] != "none"
     )
+
+
+def test_a_check_looks_at_the_prior_too(folder, refine):
+    asked = refine("initial.ply", "mask.png", "--check", "--prior", "nothere.safetensors")
+    assert asked.code == 2
+    assert "nothere.safetensors: does not exist, expected a learned prior" in asked.err
+
+
+def test_another_prior_is_another_key(folder, refine):
+    """A batch that goes on with another prior does its items again."""
+    keys = set()
+    for options in ((), ("--prior", "none"), ("--prior", "learned")):
+        refine(*POINTS, *options, "--record", "--steps", "1")
+        keys.add(json.loads((folder / "initial.refined.record.json").read_text())["key"])
+    assert len(keys) == 3

@@ -31,9 +31,9 @@ SHOW_ALL = "tso.show_all"
 CONFIG = "tso.config"
 """Key of a context's ``meta``: the file of --config."""
 FIT = Path("fit")
-# Words that stand in place of a file, by the name of the option.
-WORDS = {"camera": (str(FIT),), "checkpoint": (DEFAULT,), "prior": (LEARNED, NO_PRIOR)}
 """What `--camera` takes instead of a file, to estimate the camera."""
+WORDS = {"camera": (str(FIT),), "checkpoint": (DEFAULT,), "prior": (LEARNED, NO_PRIOR)}
+"""Words that stand in place of a file, by the name of the option."""
 
 
 class FilePath(click.Path):

@@ -36,11 +36,11 @@ class Optimised:
     Attributes
     ----------
     best : [N, 3], the iterate with the lowest loss. best_step : its step.
-    losses : at the start and after every step; the last is NaN where points or loss were not
+    losses : where it began and after every step; the last is NaN where points or loss were not
         finite.
     interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
     first_loss, best_loss : of the start and of ``best``.
-    begun : [N, 3], where the learned prior moved the start to; None where it did not.
+    begun : [N, 3], where the stages began; None where there are no stages.
     stages : the best iterate of each stage, [N, 3]. objective : of the last stage.
     """
 

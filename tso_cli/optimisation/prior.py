@@ -1,4 +1,4 @@
-"""The position prior: what it costs the points of a cloud to leave their start."""
+"""The position prior: what it costs the points of a cloud to leave where they begin."""
 
 from __future__ import annotations
 

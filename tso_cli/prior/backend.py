@@ -2,7 +2,7 @@
 
 The prior is used in points mode, which has no torch, and trained with torch. Features and network
 are written once, for either: what numpy and torch call alike is called as such, and the rest is
-here. Both forms give the same numbers (tests/prior/test_backend.py).
+here. Both forms give the same numbers (tests/prior/test_network.py).
 """
 
 from __future__ import annotations

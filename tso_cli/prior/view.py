@@ -12,7 +12,6 @@ from ..geometry.camera import NEAR, Camera
 from ..losses.mask_chamfer import MaskTarget
 from .features import CELL, FAR, GRID, HALF, LEFT_OUT
 
-
 # Added to each side of a box of longest side 1 before its volume is taken.
 THIN = 1e-3
 

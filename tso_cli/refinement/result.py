@@ -38,9 +38,10 @@ class Fit:
         "non_finite" (the loss became NaN or infinite) the best so far is kept. Where the result is
         the start: "nothing_to_do" (its loss is 0), "not_improved" (no step had a lower loss) or
         "doubtful" (refused).
-    losses : the objective at the start and after every step.
+    losses : the objective where the optimisation begins, and after every step.
     loss_before, loss_after : of the start and of the result. With the default preset in points
-        mode the objective changes from stage to stage; both are by the last one.
+        mode the objective changes from stage to stage; both are by the last one, without the
+        position prior.
     iou_before, iou_after : of the mask (> 0.5) and the cloud's silhouette, whose footprints follow
         the cloud's spacing (evaluation/footprint.py), in the square around both; mean over views.
     moved_by_prior : mean length of the displacements of the control points by the learned prior, in
