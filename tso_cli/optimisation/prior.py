@@ -15,9 +15,9 @@ from .presets import CoarseToFineConfig
 START_ROBUST_SCALE = 4.0
 # Least loss of the start that the prior weight is computed from, px^2 per mask pixel.
 LEAST_LOSS = 0.1
-# A start with a mean loss over this, px^2 per mask pixel, is not right, whatever the learned prior
-# says of it.
-BAD_FIT = 1.0
+# A start whose mean loss is over half of what a pixel can cost is not right, whatever the learned
+# prior says of it: it may have no idea of a cloud that lies far from its mask.
+BAD_FIT = START_ROBUST_SCALE**2 / 2.0
 
 
 @dataclass(frozen=True, eq=False)
