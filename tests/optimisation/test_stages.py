@@ -154,7 +154,7 @@ def test_a_worse_start_is_held_less_and_more_observations_lower_the_least_weight
 
 def test_a_start_that_is_right_is_held_firmly_unless_it_fits_badly(chair):
     """Far from its mask, most pixels cost nearly the most that they can."""
-    near, far = chair.points + [0.01, 0.0, 0.0], chair.points + [0.2, 0.0, 0.0]
+    near, far = chair.points + [0.01, 0.0, 0.0], chair.points + [0.6, 0.0, 0.0]
     view = seen(chair.points, chair.view.camera)
     for points, factor in ((near, 16.0), (far, 1.0)):
         loose, half, firm = (

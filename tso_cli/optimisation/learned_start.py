@@ -11,8 +11,9 @@ import numpy as np
 
 from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array
+from ..losses.projection import project_differentiably
 from ..prior import Frame, LearnedPrior, SeenCloud, Shown
-from .objective import MaskChamferObjective
+from .objective import MaskChamferObjective, ViewTargets
 from .prior import START_ROBUST_SCALE
 from .problem import Problem
 
@@ -23,6 +24,8 @@ PASSES = 2
 RIGHT, OTHER = 0.006, 0.012
 # The share of the time left that the prior may take.
 TIME_SHARE = 0.3
+# With this lambda of `SmoothField` the prior's step fades out where pictures end.
+OBSERVED_SMOOTHNESS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +70,12 @@ def beginning(
     resolvability = targets.resolvability(start, field)
     objective = MaskChamferObjective(targets, START_ROBUST_SCALE, resolvability)
     points, lowest, taken = start, objective(start)[0], None
+    observed = _observed(start, targets, field)
     for _ in range(PASSES):
         step = seen.step(prior, points, end)
         if step is None:
             break
+        step = observed * step
         if taken is None:
             asked = float(np.sqrt(np.square(step).sum(1).mean())) / frame.scale
             taken = float(np.clip((asked - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
@@ -79,3 +84,19 @@ def beginning(
             break
         points, lowest = points + taken * step, loss
     return Beginning(points, 0.0 if taken is None else 1.0 - taken)
+
+
+def _observed(start: Array, targets: ViewTargets, field: SmoothField) -> Array:
+    """[N, 1] in [0, 1]: how far a picture shows the part around each point.
+
+    Points beyond the borders of all pictures that truncate the object are not observed.
+    """
+    observed = np.zeros(len(start), bool)
+    for view in targets.views:
+        projected = project_differentiably(start, view.camera)
+        observed |= view.mask.observed(projected.points_px, projected.valid)
+    if observed.all():
+        return np.ones((len(start), 1))
+    at_nodes = observed[field.nodes, None].astype(float)
+    share: Array = field.spread(field.smoothed(at_nodes, OBSERVED_SMOOTHNESS))
+    return share
