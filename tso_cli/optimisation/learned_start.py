@@ -83,7 +83,10 @@ def beginning(
         if not loss < lowest:
             break
         points, lowest = points + taken * step, loss
-    return Beginning(points, 0.0 if taken is None else 1.0 - taken)
+    # A start that the masks find right may be wrong by a depth map or a photo.
+    if taken is None or not problem.masks_alone:
+        return Beginning(points)
+    return Beginning(points, 1.0 - taken)
 
 
 def _observed(start: Array, targets: ViewTargets, field: SmoothField) -> Array:
