@@ -17,8 +17,8 @@ from .features import LATTICE, MAPS, OF_NODE, OF_VIEW, Features
 Weights = Mapping[str, Any]
 # Channels of the convolutions; cells of the last one; length of the vector that sums up a view, and
 # of the layer before it; numbers of a node; channels that return to the maps.
-CHANNELS, CELLS = (16, 24, 40), 25
-SUMMARY, BEFORE_SUMMARY, WIDTH, RETURNED = 160, 320, 128, 16
+CHANNELS, CELLS = (24, 40, 64), 25
+SUMMARY, BEFORE_SUMMARY, WIDTH, RETURNED = 256, 512, 192, 16
 # Displacements are a small share of the cloud's size.
 SCALE = 0.2
 # Logarithms of weights are between minus this and this: a view never counts for nothing.

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ...network.model import BaseNetwork, NetworkConfig
 
 # Of the starts of the categories that the network knows. They take the place of other shapes.
-PREDICTED_SHARE = 0.1
+PREDICTED_SHARE = 0.2
 # Pixels along a side of a picture: finer than the network's crop of it.
 PICTURE = 128
 # Where the y axis of the object, a unit vector, points in the picture: at most to a side, and at
