@@ -10,8 +10,8 @@ from tests.scenes import block, problem_of, seen
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.smooth_field import SmoothField
 from tso_cli.optimisation.objective import MaskChamferObjective, ViewTargets
+from tso_cli.optimisation.position_prior import PositionPrior, position_prior
 from tso_cli.optimisation.presets import BEST, BEST_POINTS
-from tso_cli.optimisation.prior import PositionPrior, position_prior
 from tso_cli.optimisation.stages import CoarseToFine
 from tso_cli.render import look_at
 

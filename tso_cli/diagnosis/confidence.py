@@ -24,8 +24,8 @@ from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project_differentiably
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
+from ..optimisation.position_prior import START_ROBUST_SCALE
 from ..optimisation.presets import STAGES
-from ..optimisation.prior import START_ROBUST_SCALE
 from ..optimisation.problem import Problem
 from .examine import Diagnosis
 from .placement import place

@@ -14,7 +14,7 @@ from ..geometry.arrays import Array
 from ..losses.projection import project_differentiably
 from ..prior import Frame, LearnedPrior, SeenCloud, Shown
 from .objective import MaskChamferObjective, ViewTargets
-from .prior import START_ROBUST_SCALE
+from .position_prior import START_ROBUST_SCALE
 from .problem import Problem
 
 # How often the network looks at the cloud; each time it sees where the cloud has got to.

@@ -17,8 +17,8 @@ from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import SilhouetteObjective
 from .parameters import PointParameters
+from .position_prior import start_loss
 from .presets import BAD_START, MORE_STEPS, Stage
-from .prior import start_loss
 from .problem import Problem
 from .settings import Settings
 from .stages import CoarseToFine, network_objective

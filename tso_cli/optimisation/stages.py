@@ -16,8 +16,8 @@ from .learned_start import Beginning
 from .loop import Optimised, Progress, Term, minimise, offset_progress, sum_of
 from .objective import MaskChamferObjective, ViewTargets
 from .parameters import FieldParameters
+from .position_prior import position_prior
 from .presets import NETWORK, CoarseToFineConfig, Stage
-from .prior import position_prior
 from .problem import Problem
 
 
@@ -67,7 +67,11 @@ class CoarseToFine:
         targets = problem.targets(self.weights)
         # What is truncated in every view stays unknown, however many views there are.
         observations = 1.0 if targets.truncated else self.observations
-        prior = position_prior(begin.points, targets, config, observations, begin.rightness)
+
+        def held_by(targets: ViewTargets) -> Term:
+            return position_prior(begin.points, targets, config, observations, begin.rightness)
+
+        held = held_by(targets)
         found: list[Optimised] = []
         points, done = begin.points, 0
         try:
@@ -78,9 +82,7 @@ class CoarseToFine:
                     problem = problem.with_windows_around(around, stage.fine_grid)
                     if problem is not before:
                         targets = problem.targets(self.weights)
-                        prior = position_prior(
-                            begin.points, targets, config, observations, begin.rightness
-                        )
+                        held = held_by(targets)
                 agreement = [
                     self._mask_chamfer(targets, points, stage),
                     *self.stage_terms(points, stage),
@@ -90,7 +92,7 @@ class CoarseToFine:
                 found.append(
                     minimise(
                         self._parameters(points, stage),
-                        sum_of([*agreement, prior]),
+                        sum_of([*agreement, held]),
                         end - done,
                         on_progress and offset_progress(on_progress, done, steps),
                         now + (until - now) / (len(stages) - number + 1),
