@@ -18,7 +18,7 @@ from .network import shapes
 FORMAT = "tso-prior-1"
 METADATA_KEY = "tso"
 EXPECTED = "a learned prior, as tso train writes it"
-# A prior has about 1.4 MB.
+# A prior has about 3 MB.
 LARGEST = 64 << 20
 
 Arrays = dict[str, np.ndarray[Any, Any]]
