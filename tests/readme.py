@@ -22,6 +22,14 @@ DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 PAGES = (README, ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")))
 RECORDS = DOCS / "records"
+KINDS = {
+    "other": "another shape of the same type",
+    "turned": "another shape; the whole scene is turned",
+    "near": "another shape close to the truth",
+    "cut": "another shape; the object is truncated",
+    "network": "the shipped network's prediction",
+    "right": "the truth itself, sampled anew",
+}
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
 
@@ -152,6 +160,26 @@ def types() -> str:
     return markdown(header, rows)
 
 
+def aims() -> str:
+    """Aims of the default, what it comes to, and what one mask can tell; ratios of means."""
+    from tso_cli.lab.studies.accuracy_claims import AIMS, ALL
+
+    rows = []
+    for kind, of_kind in AIMS.items():
+        groups = record("accuracy")["summary"][kind]
+        for category, of_category in of_kind.items():
+            chosen = list(groups.values()) if category == ALL else [groups[category]]
+            before = sum(group["cases"] * group["before"]["chamfer"] for group in chosen)
+            for variant, aim in of_category.items():
+                after = sum(g["cases"] * g["variants"][variant]["chamfer"] for g in chosen)
+                masks = {"best": "one", "best, two masks": "two"}[variant]
+                bound = groups.get(category, {}).get("bound_ratio")
+                cells = (f"{aim:.2f}", f"{after / before:.2f}")
+                of_one = f"{bound:.2f}" if bound and masks == "one" else "-"
+                rows.append([KINDS[kind], f"{category}, {masks}", *cells, of_one])
+    return markdown(["start", "object, masks", "aim", "result", "bound of one mask"], rows)
+
+
 def pooled(kind: str, variant: str) -> list[str]:
     """Of all object types: mean and worst Chamfer after / before, and how many got worse."""
     groups = [
@@ -169,18 +197,10 @@ def pooled(kind: str, variant: str) -> list[str]:
 
 def starts() -> str:
     """By kind of start: mean, worst, and how many got worse."""
-    kinds = {
-        "other": "another shape of the same type",
-        "turned": "another shape; the whole scene is turned",
-        "near": "another shape close to the truth",
-        "cut": "another shape; the object is truncated",
-        "network": "the shipped network's prediction",
-        "right": "the truth itself, sampled anew",
-    }
     variants = {"paper": "paper", "default": "best", "default, four masks": "best, four masks"}
     rows = [
         [label, *(", ".join(pooled(kind, name)) for name in variants.values())]
-        for kind, label in kinds.items()
+        for kind, label in KINDS.items()
         if kind in record("accuracy")["summary"]
     ]
     return markdown(["start", *variants], rows)
@@ -518,6 +538,7 @@ FIGURES = (
     advice,
     paper,
     types,
+    aims,
     starts,
     depth,
     cameras,

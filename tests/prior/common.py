@@ -32,4 +32,4 @@ def pushing(*displacement):
     """A prior that always asks for one displacement, in the axes of the view."""
     weights = {name: np.zeros(shape) for name, shape in shapes().items()}
     weights["moved.offset"][:3] = np.array(displacement) / SCALE
-    return LearnedPrior(weights, {})
+    return LearnedPrior(weights)

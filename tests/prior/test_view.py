@@ -114,7 +114,7 @@ def test_the_frame_of_a_cloud_leaves_out_single_points_and_follows_a_turn():
 
 
 def test_a_cloud_and_a_camera_that_are_turned_together_move_alike():
-    prior = LearnedPrior(some_weights(), {})
+    prior = LearnedPrior(some_weights())
     rng = np.random.default_rng(1)
     points = rng.uniform(-0.5, 0.5, (512, 3)) * [1.0, 0.5, 0.4]
     view = seen(1.1 * points, look_at(30.0, 20.0, 2.5, (64, 64)))

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,12 +33,11 @@ class LearnedPrior:
     """
 
     weights: Weights
-    about: dict[str, Any]
 
     @classmethod
     def read(cls, path: Path) -> LearnedPrior:
         """From a file; InputError as `read_prior`."""
-        return cls(*read_prior(path))
+        return cls(read_prior(path)[0])
 
 
 def named_prior(name: str) -> LearnedPrior | None:
