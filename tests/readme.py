@@ -152,7 +152,7 @@ def types() -> str:
         "mean",
         "worst",
         "made worse",
-        "bound",
+        "oracle",
         "floor",
         "F-score",
         "IoU",
@@ -161,7 +161,7 @@ def types() -> str:
 
 
 def aims() -> str:
-    """Aims of the default, what it comes to, and what one mask can tell; ratios of means."""
+    """Aims of the default, what it comes to, and what an oracle does; ratios of means."""
     from tso_cli.lab.studies.accuracy_claims import AIMS, ALL
 
     rows = []
@@ -177,7 +177,7 @@ def aims() -> str:
                 cells = (f"{aim:.2f}", f"{after / before:.2f}")
                 of_one = f"{bound:.2f}" if bound and masks == "one" else "-"
                 rows.append([KINDS[kind], f"{category}, {masks}", *cells, of_one])
-    return markdown(["start", "object, masks", "aim", "result", "bound of one mask"], rows)
+    return markdown(["start", "object, masks", "aim", "result", "oracle"], rows)
 
 
 def pooled(kind: str, variant: str) -> list[str]:
@@ -224,11 +224,11 @@ def depth() -> str:
     return markdown(["observations", "after / before", "worst"], cells)
 
 
-def targets(name: str) -> str:
-    """How many targets of a study are met."""
+def aims_met(name: str) -> str:
+    """How many aims of a study are met."""
     claims = record(name)["claims"]
     met = sum(claim["holds"] for claim in claims)
-    return f"{met} of {len(claims)} targets are met ([which](records/{name}.md))."
+    return f"{met} of {len(claims)} aims are met ([which](records/{name}.md))."
 
 
 def cameras() -> str:
@@ -549,7 +549,7 @@ FIGURES = (
 )
 FIGURES += (machine, installation, objects, batches, scale, kernels, record_minutes, stages)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
-FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}
+FILLED |= {f"{name}_aims_met": partial(aims_met, name) for name in ("accuracy", "speed")}
 
 
 def with_figures(text: str) -> str:

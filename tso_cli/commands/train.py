@@ -1,4 +1,4 @@
-"""`tso train`: train the network that predicts a cloud from a photo, or a prior of shapes."""
+"""`tso train`: train the network that predicts a cloud from a photo, or a learned prior."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class CategoryValue(click.ParamType):
 @flag("--balance", "Draw every category equally often, however many objects it has.")
 @option(
     "--prior",
-    "Train a prior of shapes in place of the network, from the meshes FOLDER/CATEGORY/NAME.",
+    "Train a learned prior in place of the network, from the meshes FOLDER/CATEGORY/NAME.",
     type=PATH,
     metavar="FOLDER",
 )
@@ -224,7 +224,7 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     The state of the training is stored next to the checkpoint, as NAME.training.safetensors, for
     --resume. Ctrl-C finishes the current step and writes both files.
 
-    With --prior FOLDER it trains the prior that moves a cloud toward the shape of a mask before
+    With --prior FOLDER it trains the prior that moves a cloud to a likely shape before
     `tso refine` optimises it.
 
     To train the network with several processes: torchrun --nproc-per-node N -m tso_cli train ...

@@ -1,4 +1,4 @@
-"""`tso train --prior FOLDER`: train the prior that moves a start toward the shape of a mask."""
+"""`tso train --prior FOLDER`: train the prior that moves a start to a likely shape."""
 
 from __future__ import annotations
 
@@ -206,5 +206,5 @@ def _print_summary(document: dict[str, Any]) -> None:
     )
     click.echo(
         f"loss {document['loss']:.3f}, mean of the last {min(LOSS_STEPS, steps)} steps "
-        "(the share of a start's error that is left; 1 leaves starts as they are)"
+        "(relative to the error of the start; a prior that moves nothing has about 0.9)"
     )

@@ -1,1 +1,1 @@
-"""Training the prior that moves a start toward the shape of a mask."""
+"""Training the prior that moves a start to a likely shape."""
