@@ -76,8 +76,8 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     "--prior",
     type=options.FilePath(*options.WORDS["prior"]),
     metavar="learned|none|FILE",
-    help="The network that first moves the cloud to a likely shape: the shipped one, none, or a file "
-    "of tso train --prior.  [default: learned; paper and network modes: none]",
+    help="The network that first moves the cloud to a likely shape: the shipped one, none, or a "
+    "file of tso train --prior.  [default: learned; paper and network modes: none]",
 )
 @click.option(
     "--points",
