@@ -12,6 +12,7 @@ from tso_cli import Camera, View
 from tso_cli.losses.mask_chamfer import MaskTarget
 from tso_cli.prior import Frame, LearnedPrior, SeenCloud, Shown
 from tso_cli.prior.features import CELL, GRID, HALF
+from tso_cli.prior.learned import _Sample
 from tso_cli.prior.view import signed_distance, turn_to_front
 from tso_cli.render import look_at
 
@@ -126,20 +127,36 @@ def test_a_cloud_and_a_camera_that_are_turned_together_move_alike():
         of_view = Shown.of(seen_by, MaskTarget.of(view.mask), cloud, frame)
         # The same points are nodes, whichever way the curve runs.
         scene = SeenCloud(cloud, frame, [of_view])
-        scene.__dict__["_chosen"] = np.arange(512)
+        scene.__dict__["_samples"] = [_Sample.of(cloud, np.arange(512), 0.5)]
         steps.append(scene.step(prior, cloud))
     np.testing.assert_allclose(steps[1], steps[0] @ turn.T, atol=1e-9)
     assert np.abs(steps[0]).max() > 0.01
 
 
-def test_points_of_the_sample_are_as_dense_as_the_cloud():
+def test_points_of_a_sample_are_as_dense_as_the_cloud():
     """A tenth of the points is spread over ten times the length of the others."""
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.uniform(0.0, 0.1, (4500, 3)), rng.uniform(0.0, 1.0, (500, 3))])
-    chosen = SeenCloud(points, Frame(np.zeros(3), 1.0), [])._chosen
-    assert len(set(chosen)) == 512
-    assert (chosen >= 4500).mean() == pytest.approx(0.1, abs=0.03)
-    assert (chosen[:128] >= 4500).mean() == pytest.approx(0.1, abs=0.05)
+    for sample in SeenCloud(points, Frame(np.zeros(3), 1.0), [])._samples:
+        assert len(set(sample.chosen)) == 512
+        assert (sample.chosen >= 4500).mean() == pytest.approx(0.1, abs=0.03)
+        assert (sample.chosen[:128] >= 4500).mean() == pytest.approx(0.1, abs=0.05)
+
+
+def test_two_samples_of_1024_points_have_all_of_them_and_each_answers_by_itself():
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (1024, 3))
+    view = seen(1.1 * points, look_at(30.0, 20.0, 2.5, (64, 64)))
+    frame, prior = Frame(np.zeros(3), 1.0), LearnedPrior(some_weights())
+    of_view = Shown.of(view.camera, MaskTarget.of(view.mask), points, frame)
+    scene = SeenCloud(points, frame, [of_view])
+    assert len({*scene._samples[0].chosen, *scene._samples[1].chosen}) == 1024
+    steps = []
+    for sample in scene._samples:
+        alone = SeenCloud(points, frame, [of_view])
+        alone.__dict__["_samples"] = [sample]
+        steps.append(alone.step(prior, points))
+    assert np.abs(steps[1] - steps[0]).max() > 0.01
+    np.testing.assert_allclose(scene.step(prior, points), np.mean(steps, axis=0), atol=1e-9)
 
 
 def test_an_object_off_the_axis_of_the_picture_is_measured_in_units_of_the_cloud():

@@ -21,6 +21,8 @@ from .file import read_prior, shipped_prior
 from .network import Weights, fused, predict
 from .view import Frame, Shown
 
+# Samples of a cloud whose answers are averaged. With one, a third of a displacement is chance.
+SAMPLES = 2
 # Cells along each side of the cube whose curve orders a cloud.
 CURVE = 1 << 10
 
@@ -56,23 +58,9 @@ class SeenCloud:
     views: Sequence[Shown]
 
     @cached_property
-    def _chosen(self) -> Indices:
-        """Up to `DENSE` points, the first `NODES` of them the nodes.
-
-        They keep the density of the cloud: evenly spread points would give single points and sparse
-        parts too large a share.
-        """
+    def _samples(self) -> list[_Sample]:
         along = _along_curve(self.start)
-        count = min(DENSE, len(along))
-        dense, first = along[_every(len(along), count)], _every(count, min(NODES, count))
-        return np.concatenate([dense[first], np.delete(dense, first)])
-
-    @cached_property
-    def _interpolation(self) -> tuple[Indices, Array]:
-        nodes = self.start[self._chosen[:NODES]]
-        index = nearest_few(self.start, nodes, min(INTERPOLATED_FROM, len(nodes)))
-        distance = np.linalg.norm(self.start[:, None] - nodes[index], axis=2)
-        return index, falling_weights(distance)
+        return [_Sample.of(self.start, along, (k + 0.5) / SAMPLES) for k in range(SAMPLES)]
 
     def step(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Array | None:
         """[N, 3]: how ``points`` [N, 3], where the start has got to, should move.
@@ -80,38 +68,85 @@ class SeenCloud:
         None where the time is over before all views have been asked (`time.perf_counter`), or where
         the answer is not finite.
         """
-        dense = (points[self._chosen] - self.frame.centre) / self.frame.scale
+        chosen = np.stack([sample.chosen for sample in self._samples])
+        dense = (points[chosen] - self.frame.centre) / self.frame.scale  # [SAMPLES, M, 3]
         answers = []
         for view in self.views:
             if time.perf_counter() > until:
                 return None
-            answers.append(self._answer(prior, dense, view))
-        displacements, log_weights = (np.stack(part)[None] for part in zip(*answers, strict=True))
+            answers.append(_answer(prior, dense, view))
+        displacements, log_weights = (np.stack(part, 1) for part in zip(*answers, strict=True))
         rotations = np.stack([view.rotation for view in self.views])[None]
-        of_nodes = fused(NUMPY, displacements, log_weights, rotations)[0]
-        index, share = self._interpolation
-        step: Array = self.frame.scale * np.einsum("nk,nkc->nc", share, of_nodes[index])
+        of_nodes = fused(NUMPY, displacements, log_weights, rotations)
+        steps = [
+            sample.spread(moved) for sample, moved in zip(self._samples, of_nodes, strict=True)
+        ]
+        step: Array = self.frame.scale * np.mean(steps, axis=0)
         return step if np.isfinite(step).all() else None
 
-    def _answer(self, prior: LearnedPrior, dense: Array, view: Shown) -> tuple[Array, Array]:
-        """Displacements [M, 3] of the nodes in the axes of a view, and logarithms of weights."""
-        given = features(
-            NUMPY,
-            (dense @ view.rotation.T)[None],
-            min(NODES, len(dense)),
-            np.array([view.closeness]),
-            view.distance[None],
-            view.known[None],
-            view.cells[None],
-            np.ones((1, len(view.cells))),
-        )
-        (displacements,), (log_weights,) = predict(NUMPY, prior.weights, given)
-        return displacements, log_weights + np.log(view.weight)
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """A part of a cloud [N, 3] that the network is given.
+
+    chosen : [M], up to `DENSE` points, the first `NODES` of them the nodes.
+    index, share : [N, K], the nodes that each point is interpolated from, and their weights.
+    """
+
+    chosen: Indices
+    index: Indices
+    share: Array
+
+    @classmethod
+    def of(cls, points: Array, along: Indices, shift: float) -> _Sample:
+        """Every k-th of the ``points`` in their order ``along`` a curve, from a ``shift`` on.
+
+        The sample keeps the density of the cloud: evenly spread points would give single points and
+        sparse parts too large a share.
+        """
+        dense = along[_every(len(along), DENSE, shift)]
+        first = _every(len(dense), NODES, shift)
+        chosen = np.concatenate([dense[first], np.delete(dense, first)])
+        nodes = points[chosen[:NODES]]
+        index = nearest_few(points, nodes, min(INTERPOLATED_FROM, len(nodes)))
+        distance = np.linalg.norm(points[:, None] - nodes[index], axis=2)
+        return cls(chosen, index, falling_weights(distance))
+
+    def spread(self, of_nodes: Array) -> Array:
+        """[N, 3], of all points."""
+        spread: Array = np.einsum("nk,nkc->nc", self.share, of_nodes[self.index])
+        return spread
 
 
-def _every(total: int, count: int) -> Indices:
-    """[count] whole numbers under ``total``, evenly spaced."""
-    chosen: Indices = ((np.arange(count) + 0.5) * total / count).astype(np.int64)
+def _answer(prior: LearnedPrior, dense: Array, view: Shown) -> tuple[Array, Array]:
+    """What the ``prior`` answers for S samples [S, M, 3] of a cloud in one view.
+
+    Returns
+    -------
+    [S, NODES, 3] displacements of the nodes in the axes of the view, and logarithms of weights.
+    """
+
+    def alike(array: Array) -> Array:
+        return np.broadcast_to(array, (len(dense), *array.shape))
+
+    given = features(
+        NUMPY,
+        dense @ view.rotation.T,
+        min(NODES, dense.shape[1]),
+        np.full(len(dense), view.closeness),
+        alike(view.distance),
+        alike(view.known),
+        alike(view.cells),
+        np.ones((len(dense), len(view.cells))),
+    )
+    displacements, log_weights = predict(NUMPY, prior.weights, given)
+    return displacements, log_weights + np.log(view.weight)
+
+
+def _every(total: int, count: int, shift: float) -> Indices:
+    """[count] or fewer whole numbers under ``total``, evenly spaced."""
+    count = min(count, total)
+    chosen: Indices = ((np.arange(count) + shift) * total / count).astype(np.int64)
     return chosen
 
 
