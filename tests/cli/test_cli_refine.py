@@ -49,7 +49,7 @@ def test_four_lines_say_what_was_written_how_well_it_agrees_how_far_it_moved_and
         r"  used   camera camera.json; assumed mirror-symmetric, as the cloud is; \d+\.\d s",
         lines[3],
     )
-    assert 0.0 < np.abs(refined("initial.refined.ply") - refined("initial.ply")).max() < 0.2
+    assert 0.0 < np.abs(refined("initial.refined.ply") - refined("initial.ply")).max() < 0.3
 
 
 def test_json_is_one_document_with_all_promised_entries(folder, refine):
@@ -343,7 +343,7 @@ def test_an_interrupt_writes_the_best_so_far(folder, refine, monkeypatch):
     calls, true_call = iter(range(100)), MaskChamferObjective.__call__
 
     def interrupted(self, points):
-        if next(calls) == 7:  # one for the start
+        if next(calls) == 11:  # five for the start and the learned prior
             raise KeyboardInterrupt
         return true_call(self, points)
 

@@ -12,7 +12,7 @@ from tso_cli import Camera, View
 from tso_cli.losses.mask_chamfer import MaskTarget
 from tso_cli.prior import Frame, LearnedPrior, SeenCloud, Shown
 from tso_cli.prior.features import CELL, GRID, HALF
-from tso_cli.prior.learned import _Sample
+from tso_cli.prior.learned import _samples
 from tso_cli.prior.view import signed_distance, turn_to_front
 from tso_cli.render import look_at
 
@@ -125,9 +125,7 @@ def test_a_cloud_and_a_camera_that_are_turned_together_move_alike():
     for cloud, seen_by in ((points, view.camera), (points @ turn.T, camera)):
         frame = Frame(np.zeros(3), 1.0)
         of_view = Shown.of(seen_by, MaskTarget.of(view.mask), cloud, frame)
-        # The same points are nodes, whichever way the curve runs.
         scene = SeenCloud(cloud, frame, [of_view])
-        scene.__dict__["_samples"] = [_Sample.of(cloud, np.arange(512), 0.5)]
         steps.append(scene.step(prior, cloud))
     np.testing.assert_allclose(steps[1], steps[0] @ turn.T, atol=1e-9)
     assert np.abs(steps[0]).max() > 0.01
@@ -137,7 +135,7 @@ def test_points_of_a_sample_are_as_dense_as_the_cloud():
     """A tenth of the points is spread over ten times the length of the others."""
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.uniform(0.0, 0.1, (4500, 3)), rng.uniform(0.0, 1.0, (500, 3))])
-    for sample in SeenCloud(points, Frame(np.zeros(3), 1.0), [])._samples:
+    for sample in _samples(points):
         assert len(set(sample.chosen)) == 512
         assert (sample.chosen >= 4500).mean() == pytest.approx(0.1, abs=0.03)
         assert (sample.chosen[:128] >= 4500).mean() == pytest.approx(0.1, abs=0.05)
@@ -149,11 +147,12 @@ def test_two_samples_of_1024_points_have_all_of_them_and_each_answers_by_itself(
     frame, prior = Frame(np.zeros(3), 1.0), LearnedPrior(some_weights())
     of_view = Shown.of(view.camera, MaskTarget.of(view.mask), points, frame)
     scene = SeenCloud(points, frame, [of_view])
-    assert len({*scene._samples[0].chosen, *scene._samples[1].chosen}) == 1024
+    first, second = _samples(points @ of_view.rotation.T)
+    assert len({*first.chosen, *second.chosen}) == 1024
     steps = []
-    for sample in scene._samples:
+    for sample in (first, second):
         alone = SeenCloud(points, frame, [of_view])
-        alone.__dict__["_samples"] = [sample]
+        alone.__dict__["_samples"] = [[sample]]
         steps.append(alone.step(prior, points))
     assert np.abs(steps[1] - steps[0]).max() > 0.01
     np.testing.assert_allclose(scene.step(prior, points), np.mean(steps, axis=0), atol=1e-9)

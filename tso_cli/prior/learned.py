@@ -58,9 +58,9 @@ class SeenCloud:
     views: Sequence[Shown]
 
     @cached_property
-    def _samples(self) -> list[_Sample]:
-        along = _along_curve(self.start)
-        return [_Sample.of(self.start, along, (k + 0.5) / SAMPLES) for k in range(SAMPLES)]
+    def _samples(self) -> list[list[_Sample]]:
+        """Of each view."""
+        return [_samples(self.start @ view.rotation.T) for view in self.views]
 
     def step(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Array | None:
         """[N, 3]: how ``points`` [N, 3], where the start has got to, should move.
@@ -68,20 +68,15 @@ class SeenCloud:
         None where the time is over before all views have been asked (`time.perf_counter`), or where
         the answer is not finite.
         """
-        chosen = np.stack([sample.chosen for sample in self._samples])
-        dense = (points[chosen] - self.frame.centre) / self.frame.scale  # [SAMPLES, M, 3]
+        framed = (points - self.frame.centre) / self.frame.scale
         answers = []
-        for view in self.views:
+        for view, samples in zip(self.views, self._samples, strict=True):
             if time.perf_counter() > until:
                 return None
-            answers.append(_answer(prior, dense, view))
-        displacements, log_weights = (np.stack(part, 1) for part in zip(*answers, strict=True))
+            answers.append(_answer(prior, framed @ view.rotation.T, view, samples))
+        displacements, log_weights = (np.stack(part)[None] for part in zip(*answers, strict=True))
         rotations = np.stack([view.rotation for view in self.views])[None]
-        of_nodes = fused(NUMPY, displacements, log_weights, rotations)
-        steps = [
-            sample.spread(moved) for sample, moved in zip(self._samples, of_nodes, strict=True)
-        ]
-        step: Array = self.frame.scale * np.mean(steps, axis=0)
+        step: Array = self.frame.scale * fused(NUMPY, displacements, log_weights, rotations)[0]
         return step if np.isfinite(step).all() else None
 
 
@@ -118,20 +113,29 @@ class _Sample:
         return spread
 
 
-def _answer(prior: LearnedPrior, dense: Array, view: Shown) -> tuple[Array, Array]:
-    """What the ``prior`` answers for S samples [S, M, 3] of a cloud in one view.
+def _samples(points: Array) -> list[_Sample]:
+    """Of ``points`` [N, 3] in the axes of a view, so that the axes of the cloud do not matter."""
+    along = _along_curve(points)
+    return [_Sample.of(points, along, (number + 0.5) / SAMPLES) for number in range(SAMPLES)]
+
+
+def _answer(
+    prior: LearnedPrior, points: Array, view: Shown, samples: Sequence[_Sample]
+) -> tuple[Array, Array]:
+    """What the ``prior`` answers in a view, the mean over ``samples`` of the points.
 
     Returns
     -------
-    [S, NODES, 3] displacements of the nodes in the axes of the view, and logarithms of weights.
+    [N, 3] displacements of the ``points`` [N, 3], and logarithms of weights, in the view's axes.
     """
+    dense = points[np.stack([sample.chosen for sample in samples])]
 
     def alike(array: Array) -> Array:
         return np.broadcast_to(array, (len(dense), *array.shape))
 
     given = features(
         NUMPY,
-        dense @ view.rotation.T,
+        dense,
         min(NODES, dense.shape[1]),
         np.full(len(dense), view.closeness),
         alike(view.distance),
@@ -139,7 +143,10 @@ def _answer(prior: LearnedPrior, dense: Array, view: Shown) -> tuple[Array, Arra
         alike(view.cells),
         np.ones((len(dense), len(view.cells))),
     )
-    displacements, log_weights = predict(NUMPY, prior.weights, given)
+    displacements, log_weights = (
+        np.mean([sample.spread(one) for sample, one in zip(samples, each, strict=True)], axis=0)
+        for each in predict(NUMPY, prior.weights, given)
+    )
     return displacements, log_weights + np.log(view.weight)
 
 
