@@ -160,6 +160,24 @@ def types() -> str:
     return markdown(header, rows)
 
 
+def prior() -> str:
+    """What the learned prior brings: with one mask, by type for other shapes, then by start."""
+    kinds = record("accuracy-ablation")["summary"]
+    names = ("best", "no learned prior")
+    rows = []
+    for category, group in kinds["other"].items():
+        cells = (group["variants"][name] for name in names)
+        ratios = [f"{row['mean_ratio']:.2f}, {row['worst_ratio']:.2f}" for row in cells]
+        rows.append([KINDS["other"], f"{category}, {group['cases']}", *ratios])
+    for kind in list(kinds)[1:]:
+        cells = (pooled(kind, name, "accuracy-ablation") for name in names)
+        total = sum(group["cases"] for group in kinds[kind].values())
+        rows.append(
+            [KINDS[kind], f"all, {total}", *(f"{mean}, {worst}" for mean, worst, _ in cells)]
+        )
+    return markdown(["start", "object, clouds", "with the learned prior", "without"], rows)
+
+
 def aims() -> str:
     """Aims of the default, what it comes to, and what an oracle does; ratios of means."""
     from tso_cli.lab.studies.accuracy_claims import AIMS, ALL
@@ -180,11 +198,11 @@ def aims() -> str:
     return markdown(["start", "object, masks", "aim", "result", "oracle"], rows)
 
 
-def pooled(kind: str, variant: str) -> list[str]:
+def pooled(kind: str, variant: str, study: str = "accuracy") -> list[str]:
     """Of all object types: mean and worst Chamfer after / before, and how many got worse."""
     groups = [
         (group["cases"], group["variants"][variant])
-        for group in record("accuracy")["summary"][kind].values()
+        for group in record(study)["summary"][kind].values()
     ]
     total = sum(cases for cases, _ in groups)
     mean = sum(cases * row["mean_ratio"] for cases, row in groups) / total
@@ -538,6 +556,7 @@ FIGURES = (
     advice,
     paper,
     types,
+    prior,
     aims,
     starts,
     depth,
