@@ -110,16 +110,19 @@ def test_only_scenes_of_known_categories_have_predictions(shapes, seen):
         draw_predictions(Known(None, None, ("sofa", "table"), ""), shapes, scenes, 9, seed=0)
 
 
-def test_up_is_up_in_the_pictures_that_are_predicted_from(shapes, seen, monkeypatch):
+def test_pictures_that_are_predicted_from_are_upright_and_not_from_below(shapes, seen, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(module, "_seen", lambda *scene: (seen, np.zeros((3, 64, 64), np.float32)))
-    scenes = draw_scenes(shapes, 30, 0)
+    scenes = draw_scenes(shapes, 50, 0)
     found = draw_predictions(Known(None, None, None, ""), shapes, scenes, 99, seed=0)
     up = np.stack([scene.rotation[0][:, 1] for scene in scenes])
     predicted = found.of_scene >= 0
     assert 5 < predicted.sum() < 25
+    assert (np.abs(up[predicted, 0]) < 0.06).all()  # rolled by 3 degrees
     assert (up[predicted, 1] < -0.7).all()
-    assert (np.abs(up[~predicted, 0]) + 1.0 + up[~predicted, 1] > 0.2).all()
+    assert (up[predicted, 2] < 0.11).all()  # from 6 degrees below the object
+    aside, down, away = up[~predicted].T
+    assert ((np.abs(aside) > 0.04) | (down > -0.8) | (away > 0.09)).all()
 
 
 def test_a_bank_has_the_predictions(shapes):
