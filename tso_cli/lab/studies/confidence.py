@@ -37,8 +37,11 @@ HIGHEST_LEVEL = {"many points": 16384, "large picture": 2048}
 """Beyond these levels only the time changes."""
 MASKS = (1, 1, 1, 1, 1, 2, 4)
 """The number of masks is drawn from these."""
-DRAWS = 2
-"""How often alterations are drawn for the fit, each time with other views."""
+DRAWS = {"validation": 3, "train": 1}
+"""How often alterations of a part are drawn for the fit, each time with other views.
+
+The learned prior knows the training shapes, so results on validation shapes tell more.
+"""
 LEARNED = {"floor under the object": (20.0, 50.0, 100.0)}
 """Levels that the fit sees for every case: drawn at random they are too rare to be learned."""
 WHOLE_STEP = Variant(RefineConfig(accept_doubtful=True))
@@ -151,9 +154,9 @@ def plan(
     settings["categories"] = list(settings["categories"])
     if fit is not None:
         jobs: list[Callable[[], list[Row]]] = []
-        for draw in range(DRAWS):
-            drawn = settings | {"seed": settings["seed"] + draw}
-            for part in ("train", "validation"):
+        for part, draws in DRAWS.items():
+            for draw in range(draws):
+                drawn = settings | {"seed": settings["seed"] + draw}
                 jobs += _jobs(meshes, split, part, drawn, to_fit=True).values()
         rows: list[Row] = []
         for number, job in enumerate(jobs, 1):
