@@ -22,6 +22,7 @@ from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array, Bits
 from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project_differentiably
+from ..optimisation.learned_start import Beginning
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
 from ..optimisation.position_prior import START_ROBUST_SCALE
@@ -51,6 +52,7 @@ REASONS = {
     "camera": "the points moved as one body, as a wrong camera would move them; is the camera "
     "right?",
     "motion": "the points moved far, or without their neighbours",
+    "prior": "the learned prior is unsure of this object",
     "stages": "the coarse and the fine stages of the optimisation disagree",
     "misfit": "cloud and mask agree too little, before or after",
     "input": "the silhouettes differ in a way that another camera or mask might explain",
@@ -153,14 +155,16 @@ def features_of(
     ``inlier_weights`` [V] are of the given views.
     """
     start, best = problem.cloud.start, optimised.best
-    begun = start if optimised.begun is None else optimised.begun
+    begun = optimised.begun or Beginning(start)
     views = len(problem.given)
     truncated = all(windowed.resampled.target.truncated for windowed in problem.given)
     return {
         **_motion(problem, field, start, best),
         **_rigidity(start, best),
-        "motion: by the prior": _log(_apart(start, begun)),
-        **_disagreement_of_stages(begun, optimised.stages),
+        "motion: by the prior": _log(_apart(start, begun.points)),
+        "prior: asked": _log(begun.asked),
+        "prior: sureness": begun.sureness,
+        **_disagreement_of_stages(begun.points, optimised.stages),
         **_misfit(problem, start, best, ious),
         **_input(problem, diagnosis),
         "input: truncated": float(truncated),

@@ -21,7 +21,7 @@ from .problem import Problem
 PASSES = 2
 # The root mean square of the first step, in longest sides: a start that is right is asked to move
 # by less than the first, another shape by more than the second. Between them the step is scaled.
-RIGHT, OTHER = 0.006, 0.012
+RIGHT, OTHER = 0.003, 0.006
 # The share of the time left that the prior may take.
 TIME_SHARE = 0.3
 # With this lambda of `SmoothField` the prior's step fades out where pictures end.
@@ -35,10 +35,14 @@ class Beginning:
     points : [N, 3].
     rightness : in [0, 1], how far the learned prior finds that the start is right already; 0
         without a learned prior.
+    asked : the root mean square of the first displacements that the learned prior asks for, in
+        longest sides. sureness : of its first answer, `Step.sureness`. Both are 0 without it.
     """
 
     points: Array
     rightness: float = 0.0
+    asked: float = 0.0
+    sureness: float = 0.0
 
 
 def beginning(
@@ -70,13 +74,15 @@ def beginning(
     resolvability = targets.resolvability(start, field)
     objective = MaskChamferObjective(targets, START_ROBUST_SCALE, resolvability)
     points, lowest, taken = start, objective(start)[0], None
+    asked = sureness = 0.0
     observed = _observed(start, targets, field)
     for _ in range(PASSES):
-        step = seen.step(prior, points, end)
-        if step is None:
+        answer = seen.step(prior, points, end)
+        if answer is None:
             break
-        step = observed * step
+        step = observed * answer.displacements
         if taken is None:
+            sureness = answer.sureness
             asked = float(np.sqrt(np.square(step).sum(1).mean())) / frame.scale
             taken = float(np.clip((asked - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
         loss = objective(points + taken * step)[0] if taken else np.inf
@@ -84,9 +90,8 @@ def beginning(
             break
         points, lowest = points + taken * step, loss
     # A start that the masks find right may be wrong by a depth map or a photo.
-    if taken is None or not problem.masks_alone:
-        return Beginning(points)
-    return Beginning(points, 1.0 - taken)
+    right = 0.0 if taken is None or not problem.masks_alone else 1.0 - taken
+    return Beginning(points, right, asked, sureness)
 
 
 def _observed(start: Array, targets: ViewTargets, field: SmoothField) -> Array:

@@ -6,12 +6,15 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ..errors import is_interrupt
 from ..geometry.arrays import Array
+
+if TYPE_CHECKING:
+    from .learned_start import Beginning
 
 Progress = Callable[[int, int, float, Array], None]
 """Called with (step, steps, loss, points [N, 3]) of each step but the start."""
@@ -40,7 +43,7 @@ class Optimised:
         finite.
     interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
     first_loss, best_loss : of the start and of ``best``.
-    begun : [N, 3], where the stages began; None where there are no stages.
+    begun : where the stages began; None where there are no stages.
     stages : the best iterate of each stage, [N, 3]. objective : of the last stage.
     """
 
@@ -50,7 +53,7 @@ class Optimised:
     interrupted: bool
     first_loss: float
     best_loss: float
-    begun: Array | None = None
+    begun: Beginning | None = None
     stages: tuple[Array, ...] = ()
     objective: Term | None = None
     out_of_time: bool = False

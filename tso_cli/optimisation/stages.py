@@ -109,7 +109,7 @@ class CoarseToFine:
         weights = [stage.averaging_weight for stage in stages]
         weights[-1] *= observations**2
         result = _averaged(found, weights[: len(found)], initial, sum_of(agreement))
-        return replace(result, begun=begin.points), problem
+        return replace(result, begun=begin), problem
 
     def _mask_chamfer(self, targets: ViewTargets, points: Array, stage: Stage) -> Term:
         resolvability = None

@@ -50,6 +50,18 @@ def named_prior(name: str) -> LearnedPrior | None:
 
 
 @dataclass(frozen=True, eq=False)
+class Step:
+    """What a prior answers.
+
+    displacements : [N, 3]. sureness : the mean logarithm of the weights along the lines of sight,
+        over points and views; low where the depth is hard to guess.
+    """
+
+    displacements: Array
+    sureness: float
+
+
+@dataclass(frozen=True, eq=False)
 class SeenCloud:
     """A cloud ``start`` [N, 3] and what ``views`` show of it, in the frame of the cloud."""
 
@@ -62,8 +74,8 @@ class SeenCloud:
         """Of each view."""
         return [_samples(self.start @ view.rotation.T) for view in self.views]
 
-    def step(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Array | None:
-        """[N, 3]: how ``points`` [N, 3], where the start has got to, should move.
+    def step(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Step | None:
+        """How ``points`` [N, 3], where the start has got to, should move.
 
         None where the time is over before all views have been asked (`time.perf_counter`), or where
         the answer is not finite.
@@ -77,7 +89,8 @@ class SeenCloud:
         displacements, log_weights = (np.stack(part)[None] for part in zip(*answers, strict=True))
         rotations = np.stack([view.rotation for view in self.views])[None]
         step: Array = self.frame.scale * fused(NUMPY, displacements, log_weights, rotations)[0]
-        return step if np.isfinite(step).all() else None
+        sureness = float(log_weights[..., 2].mean() - np.log([v.weight for v in self.views]).mean())
+        return Step(step, sureness) if np.isfinite(step).all() else None
 
 
 @dataclass(frozen=True, eq=False)

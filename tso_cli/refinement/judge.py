@@ -78,7 +78,7 @@ def judge(
     ending = _ending(weighed, problem, optimised, given, diagnosis, settings)
     cloud, moved, weights = problem.cloud, ending.moved, weighed.weights
     lengths = np.linalg.norm(moved.displacements, axis=1)
-    begun = cloud.start if optimised.begun is None else optimised.begun
+    begun = cloud.start if optimised.begun is None else optimised.begun.points
     chamfer, _ = ChamferToStart(cloud.start)(cloud.start + moved.displacements)
     iou_before, iou_after = np.mean(ending.ious, 0).tolist()
     fit = Fit(
