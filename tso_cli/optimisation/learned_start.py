@@ -14,7 +14,7 @@ from ..geometry.arrays import Array
 from ..losses.projection import project_differentiably
 from ..prior import Frame, LearnedPrior, SeenCloud, Shown
 from .objective import MaskChamferObjective, ViewTargets
-from .position_prior import START_ROBUST_SCALE
+from .position_prior import START_ROBUST_SCALE, start_loss
 from .problem import Problem
 
 # How often the network looks at the cloud; each time it sees where the cloud has got to.
@@ -22,6 +22,10 @@ PASSES = 2
 # The root mean square of the first step, in longest sides: a start that is right is asked to move
 # by less than the first, another shape by more than the second. Between them the step is scaled.
 RIGHT, OTHER = 0.003, 0.006
+# A start that fits its masks, by its mean loss in px^2 per mask pixel, moves half as far as one
+# that does not: it gains less, and loses as much where the prior is wrong.
+FITS, FITS_NOT = 0.5, 2.0
+LEAST_SHARE = 0.5
 # The share of the time left that the prior may take.
 TIME_SHARE = 0.3
 # With this lambda of `SmoothField` the prior's step fades out where pictures end.
@@ -74,7 +78,7 @@ def beginning(
     resolvability = targets.resolvability(start, field)
     objective = MaskChamferObjective(targets, START_ROBUST_SCALE, resolvability)
     points, lowest, taken = start, objective(start)[0], None
-    asked = sureness = 0.0
+    asked = sureness = other = 0.0
     observed = _observed(start, targets, field)
     for _ in range(PASSES):
         answer = seen.step(prior, points, end)
@@ -84,14 +88,21 @@ def beginning(
         if taken is None:
             sureness = answer.sureness
             asked = float(np.sqrt(np.square(step).sum(1).mean())) / frame.scale
-            taken = float(np.clip((asked - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
+            other = float(np.clip((asked - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
+            taken = other * _share(start_loss(start, targets))
         loss = objective(points + taken * step)[0] if taken else np.inf
         if not loss < lowest:
             break
         points, lowest = points + taken * step, loss
     # A start that the masks find right may be wrong by a depth map or a photo.
-    right = 0.0 if taken is None or not problem.masks_alone else 1.0 - taken
+    right = 0.0 if taken is None or not problem.masks_alone else 1.0 - other
     return Beginning(points, right, asked, sureness)
+
+
+def _share(loss: float) -> float:
+    """The share of a displacement that is taken, by the mean ``loss`` of the start."""
+    misfit = math.log(max(loss, FITS) / FITS) / math.log(FITS_NOT / FITS)
+    return LEAST_SHARE + (1.0 - LEAST_SHARE) * min(misfit, 1.0)
 
 
 def _observed(start: Array, targets: ViewTargets, field: SmoothField) -> Array:
