@@ -49,8 +49,8 @@ def test_a_step_that_the_mask_contradicts_is_not_taken(begin):
 
 
 def test_a_second_step_that_goes_too_far_is_not_taken(begin):
-    _, moved = begin(pushing(0.08, 0.0, 0.0), apart=0.07)
-    np.testing.assert_allclose(moved[:, 0], 0.08, atol=1e-3)
+    _, moved = begin(pushing(0.095, 0.0, 0.0), apart=0.085)
+    np.testing.assert_allclose(moved[:, 0], 0.095, atol=1e-3)
 
 
 def test_a_short_step_says_that_the_start_is_right_and_moves_nothing(begin):
@@ -62,8 +62,18 @@ def test_a_short_step_says_that_the_start_is_right_and_moves_nothing(begin):
 def test_between_right_and_other_the_step_is_scaled(begin):
     found, moved = begin(pushing((RIGHT + OTHER) / 2.0, 0.0, 0.0))
     assert found.rightness == pytest.approx(0.5, abs=0.05)
+    assert found.asked == pytest.approx((RIGHT + OTHER) / 2.0, rel=0.05)
     first = (RIGHT + OTHER) / 2.0 * (1.0 - found.rightness)
     np.testing.assert_allclose(moved[:, 0], PASSES * first, rtol=0.1)
+
+
+def test_a_start_that_fits_its_mask_moves_half_as_far(begin):
+    """0.004 to the side is far less than a pixel; 0.1 is five pixels."""
+    fits, moved = begin(pushing(0.008, 0.0, 0.0), apart=0.004)
+    assert fits.rightness == 0.0
+    np.testing.assert_allclose(moved[:, 0], PASSES * 0.004, atol=1e-4)
+    _, moved = begin(pushing(0.008, 0.0, 0.0), apart=0.1)
+    np.testing.assert_allclose(moved[:, 0], PASSES * 0.008, atol=1e-4)
 
 
 def test_without_a_prior_the_start_is_where_it_is(begin):
