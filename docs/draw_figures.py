@@ -56,7 +56,7 @@ def draw_pipeline(path: Path) -> None:
         "resampled: 64 x 64 cells",
         "flipped view: a second picture",
         "moved by the learned prior",
-        "objective: pairs that attract",
+        "pairs that attract, for the start",
         "result",
     )
     figure = plt.figure(figsize=(13.0, 4.5), dpi=110)
