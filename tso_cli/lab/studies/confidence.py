@@ -37,10 +37,10 @@ HIGHEST_LEVEL = {"many points": 16384, "large picture": 2048}
 """Beyond these levels only the time changes."""
 MASKS = (1, 1, 1, 1, 1, 2, 4)
 """The number of masks is drawn from these."""
-DRAWS = {"validation": 3, "train": 1}
-"""How often alterations of a part are drawn for the fit, each time with other views.
+DRAWS = 3
+"""How often alterations are drawn for the fit, each time with other views.
 
-The learned prior knows the training shapes, so results on validation shapes tell more.
+The fit sees validation shapes alone: the learned prior was trained on the training shapes.
 """
 LEARNED = {"floor under the object": (20.0, 50.0, 100.0)}
 """Levels that the fit sees for every case: drawn at random they are too rare to be learned."""
@@ -149,15 +149,14 @@ def plan(
 ) -> Plan:
     """Refine altered test shapes.
 
-    With ``fit`` first fit the model to training and validation shapes, and write it there.
+    With ``fit`` first fit the model to validation shapes, and write it there.
     """
     settings["categories"] = list(settings["categories"])
     if fit is not None:
         jobs: list[Callable[[], list[Row]]] = []
-        for part, draws in DRAWS.items():
-            for draw in range(draws):
-                drawn = settings | {"seed": settings["seed"] + draw}
-                jobs += _jobs(meshes, split, part, drawn, to_fit=True).values()
+        for draw in range(DRAWS):
+            drawn = settings | {"seed": settings["seed"] + draw}
+            jobs += _jobs(meshes, split, "validation", drawn, to_fit=True).values()
         rows: list[Row] = []
         for number, job in enumerate(jobs, 1):
             rows += job()
@@ -321,7 +320,7 @@ STUDY = Study(
     name="confidence",
     about="Test shapes with a wrong mask, camera, cloud or picture, each altered in one way at a "
     "random level, refined with the default. A result with a confidence under "
-    f"{LEAST_CONFIDENCE:g} is doubtful. The confidence was fitted to training and validation "
+    f"{LEAST_CONFIDENCE:g} is doubtful. The confidence was fitted to validation "
     "shapes (--fit).",
     parts=("points, best",),
     tables=tables,
