@@ -88,8 +88,9 @@ class SeenCloud:
             answers.append(_answer(prior, framed @ view.rotation.T, view, samples))
         displacements, log_weights = (np.stack(part)[None] for part in zip(*answers, strict=True))
         rotations = np.stack([view.rotation for view in self.views])[None]
-        step: Array = self.frame.scale * fused(NUMPY, displacements, log_weights, rotations)[0]
-        sureness = float(log_weights[..., 2].mean() - np.log([v.weight for v in self.views]).mean())
+        weighed = log_weights + np.log([view.weight for view in self.views])[:, None, None]
+        step: Array = self.frame.scale * fused(NUMPY, displacements, weighed, rotations)[0]
+        sureness = float(log_weights[..., 2].mean())
         return Step(step, sureness) if np.isfinite(step).all() else None
 
 
@@ -160,7 +161,7 @@ def _answer(
         np.mean([sample.spread(one) for sample, one in zip(samples, each, strict=True)], axis=0)
         for each in predict(NUMPY, prior.weights, given)
     )
-    return displacements, log_weights + np.log(view.weight)
+    return displacements, log_weights
 
 
 def _every(total: int, count: int, shift: float) -> Indices:
