@@ -126,7 +126,7 @@ def test_a_cloud_and_a_camera_that_are_turned_together_move_alike():
         frame = Frame(np.zeros(3), 1.0)
         of_view = Shown.of(seen_by, MaskTarget.of(view.mask), cloud, frame)
         scene = SeenCloud(cloud, frame, [of_view])
-        steps.append(scene.step(prior, cloud).displacements)
+        steps.append(scene.ask(prior, cloud).displacements)
     np.testing.assert_allclose(steps[1], steps[0] @ turn.T, atol=1e-9)
     assert np.abs(steps[0]).max() > 0.01
 
@@ -153,10 +153,10 @@ def test_two_samples_of_1024_points_have_all_of_them_and_each_answers_by_itself(
     for sample in (first, second):
         alone = SeenCloud(points, frame, [of_view])
         alone.__dict__["_samples"] = [[sample]]
-        steps.append(alone.step(prior, points).displacements)
+        steps.append(alone.ask(prior, points).displacements)
     assert np.abs(steps[1] - steps[0]).max() > 0.01
     np.testing.assert_allclose(
-        scene.step(prior, points).displacements, np.mean(steps, axis=0), atol=1e-9
+        scene.ask(prior, points).displacements, np.mean(steps, axis=0), atol=1e-9
     )
 
 

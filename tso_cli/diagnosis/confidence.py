@@ -22,7 +22,6 @@ from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array, Bits
 from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project_differentiably
-from ..optimisation.learned_start import Beginning
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
 from ..optimisation.position_prior import START_ROBUST_SCALE
@@ -155,7 +154,8 @@ def features_of(
     ``inlier_weights`` [V] are of the given views.
     """
     start, best = problem.cloud.start, optimised.best
-    begun = optimised.begun or Beginning(start)
+    begun = optimised.begun
+    assert begun is not None, "a confidence is of stages"
     views = len(problem.given)
     truncated = all(windowed.resampled.target.truncated for windowed in problem.given)
     return {

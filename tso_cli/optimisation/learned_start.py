@@ -40,7 +40,7 @@ class Beginning:
     rightness : in [0, 1], how far the learned prior finds that the start is right already; 0
         without a learned prior.
     asked : the root mean square of the first displacements that the learned prior asks for, in
-        longest sides. sureness : of its first answer, `Step.sureness`. Both are 0 without it.
+        longest sides. sureness : of its first answer, `Answer.sureness`. Both are 0 without it.
     """
 
     points: Array
@@ -77,26 +77,28 @@ def beginning(
         return Beginning(start)
     resolvability = targets.resolvability(start, field)
     objective = MaskChamferObjective(targets, START_ROBUST_SCALE, resolvability)
-    points, lowest, taken = start, objective(start)[0], None
-    asked = sureness = other = 0.0
+    first = answer = seen.ask(prior, start, end)
+    if first is None:
+        return Beginning(start)
     observed = _observed(start, targets, field)
-    for _ in range(PASSES):
-        answer = seen.step(prior, points, end)
+    asked_of = observed * first.displacements
+    asked = float(np.sqrt(np.square(asked_of).sum(1).mean())) / frame.scale
+    other = float(np.clip((asked - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
+    taken = other * _share(start_loss(start, targets)) * observed
+    points, lowest = start, objective(start)[0]
+    for number in range(PASSES):
+        if number:
+            answer = seen.ask(prior, points, end)
         if answer is None:
             break
-        step = observed * answer.displacements
-        if taken is None:
-            sureness = answer.sureness
-            asked = float(np.sqrt(np.square(step).sum(1).mean())) / frame.scale
-            other = float(np.clip((asked - RIGHT) / (OTHER - RIGHT), 0.0, 1.0))
-            taken = other * _share(start_loss(start, targets))
-        loss = objective(points + taken * step)[0] if taken else np.inf
+        moved = points + taken * answer.displacements
+        loss = objective(moved)[0]
         if not loss < lowest:
             break
-        points, lowest = points + taken * step, loss
+        points, lowest = moved, loss
     # A start that the masks find right may be wrong by a depth map or a photo.
-    right = 0.0 if taken is None or not problem.masks_alone else 1.0 - other
-    return Beginning(points, right, asked, sureness)
+    right = 1.0 - other if problem.masks_alone else 0.0
+    return Beginning(points, right, asked, first.sureness)
 
 
 def _share(loss: float) -> float:

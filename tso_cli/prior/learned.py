@@ -50,7 +50,7 @@ def named_prior(name: str) -> LearnedPrior | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Answer:
     """What a prior answers.
 
     displacements : [N, 3]. sureness : the mean logarithm of the weights along the lines of sight,
@@ -74,24 +74,24 @@ class SeenCloud:
         """Of each view."""
         return [_samples(self.start @ view.rotation.T) for view in self.views]
 
-    def step(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Step | None:
+    def ask(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Answer | None:
         """How ``points`` [N, 3], where the start has got to, should move.
 
         None where the time is over before all views have been asked (`time.perf_counter`), or where
         the answer is not finite.
         """
         framed = (points - self.frame.centre) / self.frame.scale
-        answers = []
+        of_views = []
         for view, samples in zip(self.views, self._samples, strict=True):
             if time.perf_counter() > until:
                 return None
-            answers.append(_answer(prior, framed @ view.rotation.T, view, samples))
-        displacements, log_weights = (np.stack(part)[None] for part in zip(*answers, strict=True))
+            of_views.append(_answer(prior, framed @ view.rotation.T, view, samples))
+        displacements, log_weights = (np.stack(part)[None] for part in zip(*of_views, strict=True))
         rotations = np.stack([view.rotation for view in self.views])[None]
         weighed = log_weights + np.log([view.weight for view in self.views])[:, None, None]
-        step: Array = self.frame.scale * fused(NUMPY, displacements, weighed, rotations)[0]
+        moves: Array = self.frame.scale * fused(NUMPY, displacements, weighed, rotations)[0]
         sureness = float(log_weights[..., 2].mean())
-        return Step(step, sureness) if np.isfinite(step).all() else None
+        return Answer(moves, sureness) if np.isfinite(moves).all() else None
 
 
 @dataclass(frozen=True, eq=False)
