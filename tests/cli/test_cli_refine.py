@@ -343,7 +343,7 @@ def test_an_interrupt_writes_the_best_so_far(folder, refine, monkeypatch):
     calls, true_call = iter(range(100)), MaskChamferObjective.__call__
 
     def interrupted(self, points):
-        if next(calls) == 11:  # five for the start and the learned prior
+        if next(calls) == 12:  # five for the start and the learned prior
             raise KeyboardInterrupt
         return true_call(self, points)
 

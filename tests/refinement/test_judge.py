@@ -11,10 +11,12 @@ from tso_cli import Camera, RefineConfig, TsoError, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.diagnosis.examine import Diagnosis, examine
 from tso_cli.diagnosis.findings import Finding
+from tso_cli.optimisation.learned_start import beginning
 from tso_cli.optimisation.loop import Optimised
 from tso_cli.optimisation.optimise import optimise, weigh
 from tso_cli.optimisation.problem import prepare
 from tso_cli.optimisation.view_weights import ViewWeights
+from tso_cli.prior import named_prior
 from tso_cli.refinement.clock import Clock
 from tso_cli.refinement.judge import judge
 from tso_cli.refinement.run import run
@@ -129,7 +131,9 @@ def optimised(chair):
     cloud = Cloud(chair.points, "points").controlled()
     diagnosis = examine(cloud, [chair.view], [chair.view])
     weighed = weigh(prepare(cloud, [chair.view], settings), settings)
-    return weighed, settings, diagnosis, *optimise(weighed, settings, settings.steps)
+    prior = named_prior(settings.prior)
+    begin = beginning(weighed.problem, weighed.weights.loss, weighed.field, prior)
+    return weighed, settings, diagnosis, *optimise(weighed, settings, settings.steps, begin=begin)
 
 
 def _of(optimised, view, accept_doubtful=False, **changed):
