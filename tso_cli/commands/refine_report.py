@@ -292,7 +292,7 @@ class RefineReport:
             "unchecked": "no mirror symmetry assumed: the budget left no time to check it",
             # Only the default preset in points mode assumes symmetry by default.
             "not_asked": "no mirror symmetry assumed, as asked"
-            if self.result.settings.staged
+            if self.result.settings.smooth
             else None,
         }[self.result.symmetry.outcome]
 
@@ -305,10 +305,7 @@ class RefineReport:
     def print_details(self) -> None:
         """Every measure and setting."""
         result, fit, settings = self.result, self.result.fit, self.result.settings
-        best = f"best at step {fit.best_step}"
-        if settings.staged and fit.best_step:
-            best = f"the mean over the stages, the last one's {best}"
-        click.echo(f"  steps  {fit.steps}, {best}; ended: {fit.stop_reason}")
+        click.echo(f"  steps  {fit.steps}, best at step {fit.best_step}; ended: {fit.stop_reason}")
         loss = f"{fit.loss_before:.1f} -> {fit.loss_after:.1f}"
         click.echo(f"  loss   {loss}   ({objective_of(result)})")
         click.echo(

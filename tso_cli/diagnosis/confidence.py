@@ -1,15 +1,13 @@
 """Whether a result can be trusted: the features of a refinement, and the confidence they leave.
 
 A rising IoU is no proof: where camera or mask are wrong it rises while the cloud gets worse. How
-the points moved says more. A wrong camera moves them as one body; a wrong mask moves them far, or
-differently from stage to stage.
+the points moved says more. A wrong camera moves them as one body; a wrong mask moves them far.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +23,7 @@ from ..losses.projection import pixels_under, project_differentiably
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
 from ..optimisation.position_prior import START_ROBUST_SCALE
-from ..optimisation.presets import STAGES
+from ..optimisation.presets import BEST
 from ..optimisation.problem import Problem
 from .examine import Diagnosis
 from .placement import place
@@ -52,7 +50,6 @@ REASONS = {
     "right?",
     "motion": "the points moved far, or without their neighbours",
     "prior": "the learned prior is unsure of this object",
-    "stages": "the coarse and the fine stages of the optimisation disagree",
     "misfit": "cloud and mask agree too little, before or after",
     "input": "the silhouettes differ in a way that another camera or mask might explain",
     "symmetry": "the mask and its mirror image contradict each other more than a right camera "
@@ -63,8 +60,8 @@ FINDING = "finding"
 """The reason of a result that is doubtful because of a suspicious finding."""
 # Added to a value before its logarithm is taken.
 SMALLEST = 1e-3
-# Motion is rough if a field of this smoothness does not have it. The last stage has its factors.
-SMOOTHNESS = STAGES[-1].smoothness
+# Motion is rough if a field of this smoothness does not have it. The optimisation has its factors.
+SMOOTHNESS = BEST.smoothness
 # A standardised feature beyond this is clipped, and so is a ratio of losses.
 MOST_DEVIATIONS, MOST_LOSS_RATIO = 4.0, 5.0
 
@@ -155,16 +152,16 @@ def features_of(
     """
     start, best = problem.cloud.start, optimised.best
     begun = optimised.begun
-    assert begun is not None, "a confidence is of stages"
+    assert begun is not None, "a confidence is of a displacement field"
     views = len(problem.given)
     truncated = all(windowed.resampled.target.truncated for windowed in problem.given)
     return {
         **_motion(problem, field, start, best),
         **_rigidity(start, best),
         "motion: by the prior": _log(_apart(start, begun.points)),
+        "motion: after the prior": _log(_apart(begun.points, best)),
         "prior: asked": _log(begun.asked),
         "prior: sureness": begun.sureness,
-        **_disagreement_of_stages(begun.points, optimised.stages),
         **_misfit(problem, start, best, ious),
         **_input(problem, diagnosis),
         "input: truncated": float(truncated),
@@ -211,16 +208,6 @@ def _rigidity(start: Array, best: Array) -> dict[str, float]:
         "camera: turn": _log(angle),
         "camera: scale": _log(abs(np.log(max(scale, SMALLEST)))),
         "camera: shift": _log(float(np.linalg.norm((best - start).mean(0)))),
-    }
-
-
-def _disagreement_of_stages(begun: Array, stages: Sequence[Array]) -> dict[str, float]:
-    """Between where the learned prior moved the start to, and each of the two stages."""
-    names = ("prior", "1", "2")
-    found = dict(zip(names, (begun, *stages), strict=True))
-    return {
-        f"stages: {one} to {other}": _log(_apart(found[one], found[other]))
-        for one, other in itertools.combinations(names, 2)
     }
 
 

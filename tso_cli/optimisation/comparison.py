@@ -9,9 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..cloud.smooth_field import SmoothField
-from .presets import BEST_POINTS, COMPARISON, COMPARISON_STEPS
+from .field_optimisation import FieldOptimisation
+from .presets import COMPARISON, COMPARISON_RATE, COMPARISON_STEPS
 from .problem import Problem
-from .stages import CoarseToFine
 
 # The share of the time left that a comparison may take.
 TIME_SHARE = 0.5
@@ -33,7 +33,7 @@ def final_losses(
     Raises KeyboardInterrupt where Ctrl-C ended one of them.
     """
     runs = [
-        CoarseToFine(problem, weights, field, COMPARISON, BEST_POINTS.learning_rate, follow=False)
+        FieldOptimisation(problem, weights, field, COMPARISON, COMPARISON_RATE)
         for problem in problems
     ]
     end = time.perf_counter() + TIME_SHARE * (until - time.perf_counter())
@@ -51,7 +51,7 @@ def final_losses(
     return losses[0], losses[1]
 
 
-def _in_time(first: CoarseToFine, end: float) -> bool:
+def _in_time(first: FieldOptimisation, end: float) -> bool:
     """Whether both are done by the ``end``; the second takes at most as long as the ``first``."""
     # The first time, factors are computed that later runs use.
     for steps in (0, TIMED_STEPS):

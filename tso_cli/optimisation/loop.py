@@ -43,8 +43,8 @@ class Optimised:
         finite.
     interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
     first_loss, best_loss : of the start and of ``best``.
-    begun : where the stages began; None where there are no stages.
-    stages : the best iterate of each stage, [N, 3]. objective : of the last stage.
+    begun : where a `FieldOptimisation` began, None without one. agreement : its objective without
+        the position prior.
     """
 
     best: Array
@@ -54,23 +54,13 @@ class Optimised:
     first_loss: float
     best_loss: float
     begun: Beginning | None = None
-    stages: tuple[Array, ...] = ()
-    objective: Term | None = None
+    agreement: Term | None = None
     out_of_time: bool = False
 
     @property
     def steps(self) -> int:
         """Steps that were taken and had a finite loss."""
         return int(np.isfinite(self.losses).sum()) - 1
-
-
-def offset_progress(on_progress: Progress, done: int, total: int) -> Progress:
-    """Reports the steps of a stage, which begins after ``done`` of ``total`` steps."""
-
-    def report(step: int, _steps_of_stage: int, loss: float, points: Array) -> None:
-        on_progress(done + step, total, loss, points)
-
-    return report
 
 
 def sum_of(terms: list[Term]) -> Term:

@@ -9,7 +9,7 @@ import numpy as np
 from ..geometry.arrays import Array
 from ..losses.mask_chamfer import REFERENCE_POINTS
 from .objective import MaskChamferObjective, ViewTargets
-from .presets import CoarseToFineConfig
+from .presets import Recipe
 
 # Robust scale of the loss of the start, px of a mask of 64.
 START_ROBUST_SCALE = 4.0
@@ -40,7 +40,7 @@ def start_loss(initial: Array, targets: ViewTargets) -> float:
 def position_prior(
     initial: Array,
     targets: ViewTargets,
-    config: CoarseToFineConfig,
+    recipe: Recipe,
     observations: float = 1.0,
     rightness: float = 0.0,
 ) -> PositionPrior:
@@ -53,9 +53,9 @@ def position_prior(
     rightness : `Beginning.rightness`.
     """
     loss = start_loss(initial, targets)
-    weight = config.prior_weight / max(loss, LEAST_LOSS) ** config.prior_decay
-    weight = max(weight, config.least_prior_weight / observations**2)
+    weight = recipe.prior_weight / max(loss, LEAST_LOSS) ** recipe.prior_decay
+    weight = max(weight, recipe.least_prior_weight / observations**2)
     if loss < BAD_FIT:
-        weight *= config.firmness**rightness
-    factor = config.truncated_prior if targets.truncated else 1.0
+        weight *= recipe.firmness**rightness
+    factor = recipe.truncated_prior if targets.truncated else 1.0
     return PositionPrior(initial, weight * factor * REFERENCE_POINTS / len(initial))

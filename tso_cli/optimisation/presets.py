@@ -22,7 +22,8 @@ class Defaults:
     """Defaults of a preset and a mode.
 
     steps : of the optimiser; in points mode with "best" for each view (`default_steps`).
-    learning_rate : for a cloud of longest side 1.
+    learning_rate : for a cloud of longest side 1. In points mode with "best" it is the largest
+        change of a node's vector in the first step; smoothing makes the points move less.
     gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
     """
 
@@ -32,7 +33,7 @@ class Defaults:
 
 
 DEFAULTS = {
-    ("best", "points"): Defaults(32, 4e-2, 0.0),
+    ("best", "points"): Defaults(20, 3e-2, 0.0),
     ("best", "encoder"): Defaults(12, 3e-5, 0.0),
     ("best", "encoder-decoder"): Defaults(12, 6e-5, 0.0),
     ("best", "latent"): Defaults(30, 1e-3, 0.0),
@@ -64,43 +65,15 @@ FEWEST_CONTROL_POINTS = 16
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One stage of the coarse-to-fine optimisation. All stages have equally many steps.
+class Recipe:
+    """Settings of the default preset. The ablation changes one at a time.
 
     Parameters
     ----------
     smoothness : lambda of `SmoothField`.
     robust_scale : of the mask Chamfer loss, px of a window of 64.
-    learning_rate_scale : factor of the learning rate. Cars and sofas gain by a slower last stage.
-    averaging_weight : of this stage's best iterate in the result, which is a mean over stages.
+    fine_grid : whether windows are resampled at `fine_cells` in place of 64 cells a side.
     blur : standard deviation of the photometric loss's blur, px of a window of 64.
-    fine_grid : whether the window is resampled at `fine_cells` in place of 64 cells a side.
-    """
-
-    smoothness: float
-    robust_scale: float
-    learning_rate_scale: float = 1.0
-    averaging_weight: float = 1.0
-    blur: float = 0.5
-    fine_grid: bool = False
-
-
-# At first large parts move together. At last the cloud moves almost point by point. Where the two
-# stages disagree, the later one is wrong about as often as it is right. Their mean is about as
-# accurate as the later stage, and is less often worse than the start.
-STAGES = (
-    Stage(5.0, 3.0, 1.0, 2.0, blur=1.0),
-    Stage(0.5, 3.0, 0.35, 3.0, fine_grid=True),
-)
-
-
-@dataclass(frozen=True)
-class CoarseToFineConfig:
-    """Settings of the default preset. The ablation changes one at a time.
-
-    Parameters
-    ----------
-    stages : in this order.
     prior_weight : cost of moving a point, per squared distance (longest side 1), where the mean
         loss of the start per mask pixel is e = 1 px^2. A worse start is held less, by
         prior_weight / e^prior_decay.
@@ -113,34 +86,39 @@ class CoarseToFineConfig:
         points outside the mask.
     """
 
-    stages: tuple[Stage, ...] = STAGES
-    prior_weight: float = 300.0
+    smoothness: float = 0.5
+    robust_scale: float = 3.0
+    fine_grid: bool = True
+    blur: float = 1.0
+    prior_weight: float = 350.0
     prior_decay: float = 1.0
-    least_prior_weight: float = 200.0
+    least_prior_weight: float = 250.0
     truncated_prior: float = 3.0
     firmness: float = 16.0
     uniform_adam: bool = True
     use_resolvability: bool = True
 
 
-BEST = CoarseToFineConfig()
+BEST = Recipe()
 # The network modes. Weights move many points together, so no field is needed. A prediction that is
 # far off has the wrong shape, which small changes of weights do not mend, so the prior falls more
 # slowly with the loss of the start.
-NETWORK = CoarseToFineConfig(
-    stages=(Stage(0.0, 3.0),),
+NETWORK = Recipe(
+    smoothness=0.0,
     prior_weight=500.0,
     prior_decay=0.5,
     least_prior_weight=30.0,
 )
-# Two short optimisations are compared to verify a hypothesis. They have one loosely held stage: a
-# strong prior would hide how they differ.
-COMPARISON = CoarseToFineConfig(
-    stages=(Stage(5.0, 6.0),),
+# Two short optimisations are compared to verify a hypothesis. They move large parts together, and
+# hold them loosely: a strong prior would hide how they differ.
+COMPARISON = Recipe(
+    smoothness=5.0,
+    robust_scale=6.0,
+    fine_grid=False,
     prior_weight=350.0,
     least_prior_weight=30.0,
 )
-COMPARISON_STEPS = 20
+COMPARISON_STEPS, COMPARISON_RATE = 20, 4e-2
 
 
 def default_steps(views: int) -> int:

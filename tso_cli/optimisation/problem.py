@@ -13,7 +13,7 @@ from ..geometry.arrays import Array, Box
 from ..geometry.view import View
 from ..geometry.window import window_of
 from .objective import ViewTargets
-from .resampled_view import CELLS, FINEST_GRID, ResampledView, fine_cells, resample_view
+from .resampled_view import FINEST_GRID, ResampledView, fine_cells, resample_view
 from .settings import Settings
 from .symmetry import SymmetryDecision, decide_symmetry
 
@@ -27,7 +27,7 @@ WINDOW_CHANGE = 0.1
 class WindowedView:
     """A view, resampled to its window.
 
-    fine_cells : cells along the window in stages with a fine grid.
+    fine_cells : cells along the window for the optimisation.
     """
 
     view: View
@@ -90,15 +90,16 @@ class Problem:
         """The same without the flipped views."""
         return replace(self, flipped=())
 
-    def with_windows_around(self, points: Array, fine_grid: bool) -> Problem:
-        """The same with windows around ``points`` [N, 3], in the unit of the source.
+    def with_windows_around(self, points: Array) -> Problem:
+        """The same with fine windows around ``points`` [N, 3], in the unit of the source.
 
-        Views are resampled where the side of the window changes much. A cloud that starts far from
-        its mask needs a large window at first, which would resolve little detail later.
+        A cloud that starts far from its mask has a large window, which would resolve little detail
+        after the learned prior has moved it. Views are resampled where the number of cells or the
+        side of the window changes much.
         """
 
         def moved(windowed: WindowedView) -> WindowedView:
-            cells, now = windowed.fine_cells if fine_grid else CELLS, windowed.resampled
+            cells, now = windowed.fine_cells, windowed.resampled
             box = window_of(windowed.view, points)
             change = abs(np.log(_side(box) / _side(now.box)))
             if now.camera.width == cells and change <= WINDOW_CHANGE:
@@ -122,7 +123,7 @@ class Problem:
 
     @property
     def several_large(self) -> bool:
-        """Whether there are several masks, and all have the finest grid in the last stage."""
+        """Whether there are several masks, and all have the finest grid."""
         grids = [windowed.fine_cells for windowed in (*self.given, *self.flipped)]
         return len(self.given) > 1 and min(grids) == FINEST_GRID
 
@@ -167,7 +168,7 @@ def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: 
         "an image": any(view.image is not None for view in views),
     }
     for name, used in uses.items():
-        if used and not settings.staged:
+        if used and not settings.smooth:
             raise InputError(
                 f"a view has {name}, expected mode points with preset best, "
                 f"found {settings.mode} with {settings.preset}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .presets import CoarseToFineConfig, Mode, Preset
+from .presets import Mode, Preset, Recipe
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Settings:
     points: int | None
     seconds: float
     prior: str
-    coarse_to_fine: CoarseToFineConfig
+    recipe: Recipe
     given: frozenset[str]
 
     @property
-    def staged(self) -> bool:
-        """Whether points move from coarse to fine: the default preset in points mode."""
+    def smooth(self) -> bool:
+        """Whether a smooth displacement field moves points: the default preset in points mode."""
         return self.preset == "best" and self.mode == "points"

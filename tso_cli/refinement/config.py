@@ -20,9 +20,9 @@ from ..optimisation.presets import (
     SHORT_CONTROL_POINTS,
     SHORT_SECONDS,
     SIGMA_SQ,
-    CoarseToFineConfig,
     Mode,
     Preset,
+    Recipe,
     default_steps,
 )
 from ..optimisation.settings import Settings
@@ -60,10 +60,10 @@ class RefineConfig:
     prior : what is known about shapes of the cloud's kind: "learned", the prior that comes with the
         program; "none"; or the path of a file that `tso train --prior` has written. The default is
         "learned" with "best" in points mode, else "none".
-    coarse_to_fine : settings of the preset "best" in points mode, for ablations.
+    recipe : settings of the preset "best" in points mode, for ablations.
 
     The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
-    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 32 steps for each view,
+    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 20 steps for each view,
     up to four views.
 
     Raises
@@ -85,7 +85,7 @@ class RefineConfig:
     budget: Literal["auto"] | float = "auto"
     points: int | None = None
     prior: str | Path | None = None
-    coarse_to_fine: CoarseToFineConfig = BEST
+    recipe: Recipe = BEST
 
     def __post_init__(self) -> None:
         for name, known in (("mode", MODES), ("preset", PRESETS)):
@@ -107,12 +107,12 @@ class RefineConfig:
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
         _ = self.budget_seconds
-        staged_only = {
-            "coarse_to_fine": self.coarse_to_fine is not BEST,
+        smooth_only = {
+            "recipe": self.recipe is not BEST,
             "points": self.points is not None,
             "prior": self.prior is not None and str(self.prior) != NO_PRIOR,
         }
-        for name, used in staged_only.items():
+        for name, used in smooth_only.items():
             if used and (self.preset, self.mode) != ("best", "points"):
                 raise InputError(
                     f"`{name}` is for mode points with preset best, "
@@ -153,16 +153,16 @@ class RefineConfig:
     def settings(self, views: int = 1) -> Settings:
         """The same with the preset's values in place of None, for clouds with ``views`` views."""
         preset, seconds = DEFAULTS[self.preset, self.mode], self.budget_seconds
-        staged = self.preset == "best" and self.mode == "points"
+        smooth = self.preset == "best" and self.mode == "points"
         short = seconds < SHORT_SECONDS * views
         defaults: dict[str, Any] = dict(
-            steps=default_steps(views) if staged else preset.steps,
+            steps=default_steps(views) if smooth else preset.steps,
             learning_rate=preset.learning_rate,
             gamma=preset.gamma,
-            symmetry="auto" if staged else "none",
+            symmetry="auto" if smooth else "none",
             sigma_sq=SIGMA_SQ,
-            prior=LEARNED if staged else NO_PRIOR,
-            points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if staged else None,
+            prior=LEARNED if smooth else NO_PRIOR,
+            points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if smooth else None,
         )
         chosen = {
             name: value

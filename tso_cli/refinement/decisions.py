@@ -32,7 +32,7 @@ class Decision:
 
 def decisions(problem: Problem, settings: Settings, optimised: Optimised) -> tuple[Decision, ...]:
     """Of the default preset in points mode; other modes and presets decide nothing."""
-    if not settings.staged:
+    if not settings.smooth:
         return ()
     return (
         _window(problem),
@@ -65,7 +65,7 @@ def _grid(problem: Problem) -> Decision:
     if saving:
         reason = "the window's pixels, and the control points, resolve no more"
     choice = ", ".join(f"{count}x{count}" for count in dict.fromkeys(cells))
-    return Decision("cells", f"{choice} in the last stage", reason, saving)
+    return Decision("cells", choice, reason, saving)
 
 
 def _points(problem: Problem, settings: Settings) -> Decision:

@@ -79,7 +79,7 @@ def _default(
 
 
 BOTH = (CLOUD, PREDICTION)
-COARSE = replace(BEST, stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages))
+COARSE = replace(BEST, fine_grid=False)
 WAYS: dict[str, Way] = {
     **dict(way for line in STEPS for way in _by_steps(line)),
     **{f"{DEFAULT}, {count} masks": _default("masks", BOTH, masks=count) for count in (2, 4)},
@@ -95,7 +95,7 @@ WAYS: dict[str, Way] = {
         Variant(RefineConfig(points=4096)), "", (CLOUD,), points=4096
     ),
     f"{DEFAULT}, 256 px, 64 cells": Way(
-        Variant(RefineConfig(coarse_to_fine=COARSE)), "", (CLOUD,), size=256
+        Variant(RefineConfig(recipe=COARSE)), "", (CLOUD,), size=256
     ),
     f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
     **{name: Way(variant, kinds=(PREDICTION,)) for name, variant in COMBINED.items()},

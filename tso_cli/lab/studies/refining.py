@@ -10,7 +10,7 @@ from typing import Any, Final
 from ...errors import TsoError
 from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
-from ...optimisation.presets import BEST, Mode, Preset, Stage
+from ...optimisation.presets import BEST, Mode, Preset
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
 from ..interrupts import uninterrupted
 from .cases import Case
@@ -30,11 +30,7 @@ class Variant:
 
 
 def _best_with(**changes: Any) -> Variant:
-    return Variant(RefineConfig(coarse_to_fine=replace(BEST, **changes)))
-
-
-def _stages_with(**changes: Any) -> Variant:
-    return _best_with(stages=tuple(replace(stage, **changes) for stage in BEST.stages))
+    return Variant(RefineConfig(recipe=replace(BEST, **changes)))
 
 
 PAPER: Final = "paper"
@@ -66,21 +62,18 @@ ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _stages_with(smoothness=0.0),
-    "one stage": _best_with(stages=(Stage(5.0, 3.0, fine_grid=True),)),
-    "stages averaged alike": _stages_with(averaging_weight=1.0),
-    "one learning rate": _stages_with(learning_rate_scale=1.0),
-    "64 cells in the last stage too": _stages_with(fine_grid=False),
+    "no smoothing": _best_with(smoothness=0.0),
+    "64 cells a side": _best_with(fine_grid=False),
     "no learned prior": Variant(RefineConfig(prior=NO_PRIOR)),
     "a right start is held no firmer": _best_with(firmness=1.0),
     "no position prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
     "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
     "prior alike for each start": _best_with(prior_decay=0.0),
     "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
-    "no robust loss": _stages_with(robust_scale=1000.0),
+    "no robust loss": _best_with(robust_scale=1000.0),
     "no resolvability": _best_with(use_resolvability=False),
     "Adam per coordinate": Variant(
-        RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, uniform_adam=False))
+        RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, uniform_adam=False))
     ),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }

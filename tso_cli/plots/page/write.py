@@ -418,14 +418,11 @@ def _shown(value: Any) -> str:
 
 
 def _losses(document: dict[str, Any]) -> str:
-    """The loss after each step as a line; it begins anew with each stage."""
+    """The loss after each step as a line."""
     before, after = document["loss_before"], document["loss_after"]
     losses = [loss for loss in document["losses"] if loss is not None]
     numbers = "not a number" if None in (before, after) else f"{before:.4g} -> {after:.4g}"
-    caption = (
-        f"{numbers}: {document['convention']['loss']}. Where stages change the objective, the line "
-        "jumps; both numbers are by the last one."
-    )
+    caption = f"{numbers}: {document['convention']['loss']}."
     if len(losses) < 2:
         return f"<p>{text(caption)}</p>"
     low, high = min(0.0, *losses), max(losses)
