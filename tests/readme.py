@@ -519,24 +519,6 @@ def record_minutes() -> str:
     return markdown(["record", "minutes"], rows)
 
 
-def stages() -> str:
-    """The stages of the default preset."""
-    from tso_cli.optimisation.presets import STAGES
-
-    columns = {
-        "smoothness lambda": "smoothness",
-        "robust scale r": "robust_scale",
-        "learning-rate scale": "learning_rate_scale",
-        "averaging weight": "averaging_weight",
-    }
-    rows = [
-        [str(n), *(f"{getattr(stage, name):g}" for name in columns.values())]
-        for n, stage in enumerate(STAGES, 1)
-    ]
-    rows[-1][-1] += " V^2"
-    return markdown(["stage", *columns], rows)
-
-
 def plugin() -> str:
     """The example of a reader, which a test runs."""
     text = (ROOT / "tests/io/plugin_example.py").read_text()
@@ -566,7 +548,7 @@ FIGURES = (
     network,
     photos,
 )
-FIGURES += (machine, installation, objects, batches, scale, kernels, record_minutes, stages)
+FIGURES += (machine, installation, objects, batches, scale, kernels, record_minutes)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
 FILLED |= {f"{name}_aims_met": partial(aims_met, name) for name in ("accuracy", "speed")}
 

@@ -30,7 +30,7 @@ def test_an_ablation_changes_one_ingredient_of_the_preset_at_a_time():
         return refine(scene.points, scene.view, config=replace(config, steps=6)).points
 
     plain = moved(RefineConfig())
-    recipes = {name: variant.config.coarse_to_fine for name, variant in ABLATION.items()}
+    recipes = {name: variant.config.recipe for name, variant in ABLATION.items()}
     changed = {name: recipe for name, recipe in recipes.items() if recipe is not BEST}
     unchanged = {"paper", "best", "no mirror plane", "no learned prior"}
     assert set(recipes) - set(changed) == unchanged | {"Chamfer to the start added"}
@@ -38,7 +38,7 @@ def test_an_ablation_changes_one_ingredient_of_the_preset_at_a_time():
         differing = {key for key, value in vars(recipe).items() if value != getattr(BEST, key)}
         assert len(differing) == 1 or differing == {"least_prior_weight", "prior_weight"}, name
         # The other rows change nothing on a car that is seen whole and far off.
-        if differing & {"stages", "uniform_adam"}:
+        if differing & {"smoothness", "robust_scale", "uniform_adam"}:
             assert np.abs(moved(ABLATION[name].config) - plain).max() > 1e-4, name
     assert np.abs(moved(ABLATION["no learned prior"].config) - plain).max() > 1e-4
 
@@ -56,7 +56,7 @@ def test_the_default_preset_takes_the_prior_of_the_study_in_points_mode_alone():
                     assert config.prior == "none"
                 else:
                     assert config.prior == "mine.safetensors"
-    assert chosen["a right start is held no firmer"].config.coarse_to_fine.firmness == 1.0
+    assert chosen["a right start is held no firmer"].config.recipe.firmness == 1.0
 
 
 def test_a_prior_is_known_by_its_weights_in_the_record(tmp_path):

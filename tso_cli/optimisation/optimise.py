@@ -18,8 +18,6 @@ from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import SilhouetteObjective
 from .parameters import PointParameters
-from .position_prior import start_loss
-from .presets import BAD_START, MORE_STEPS
 from .problem import Problem
 from .settings import Settings
 from .view_weights import ViewWeights
@@ -43,15 +41,6 @@ def weigh(problem: Problem, settings: Settings) -> WeighedProblem:
     if settings.preset == "best":
         weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start)
     return WeighedProblem(problem, weights, SmoothField(start) if settings.smooth else None)
-
-
-def steps_for(weighed: WeighedProblem, settings: Settings) -> int:
-    """Steps to take: more than the default where the start fits several large masks badly."""
-    problem = weighed.problem
-    if not settings.smooth or "steps" in settings.given or not problem.several_large:
-        return settings.steps
-    loss = start_loss(problem.cloud.start, problem.targets(weighed.weights.loss))
-    return settings.steps * (MORE_STEPS if loss > BAD_START else 1)
 
 
 def optimise(

@@ -47,11 +47,6 @@ BEST_POINTS, PAPER_POINTS = DEFAULTS["best", "points"], DEFAULTS["paper", "point
 
 # Several views that disagree need longer to reconcile, up to this many.
 MOST_VIEWS_FOR_STEPS = 4
-# Several masks that all fill the finest grid, and a start whose mean loss is over this (px^2 of a
-# mask of 64, per mask pixel), take this factor of the steps. Other scenes of the training and
-# validation shapes gain nothing by more steps.
-BAD_START = 1.0
-MORE_STEPS = 2
 
 # With a budget of fewer seconds for each view, the steps of 1,024 points may not fit ...
 SHORT_SECONDS = 0.3

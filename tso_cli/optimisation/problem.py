@@ -13,7 +13,7 @@ from ..geometry.arrays import Array, Box
 from ..geometry.view import View
 from ..geometry.window import window_of
 from .objective import ViewTargets
-from .resampled_view import FINEST_GRID, ResampledView, fine_cells, resample_view
+from .resampled_view import ResampledView, fine_cells, resample_view
 from .settings import Settings
 from .symmetry import SymmetryDecision, decide_symmetry
 
@@ -120,12 +120,6 @@ class Problem:
     def all_weights(self, weights: Sequence[float]) -> list[float]:
         """The ``weights`` of the given views, for all views."""
         return [*weights, *weights] if self.flipped else [*weights]
-
-    @property
-    def several_large(self) -> bool:
-        """Whether there are several masks, and all have the finest grid."""
-        grids = [windowed.fine_cells for windowed in (*self.given, *self.flipped)]
-        return len(self.given) > 1 and min(grids) == FINEST_GRID
 
     @property
     def masks_alone(self) -> bool:

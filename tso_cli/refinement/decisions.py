@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..optimisation.loop import Optimised
-from ..optimisation.presets import COMPARISON_STEPS, MORE_STEPS, SHORT_CONTROL_POINTS, default_steps
+from ..optimisation.presets import COMPARISON_STEPS, SHORT_CONTROL_POINTS, default_steps
 from ..optimisation.problem import Problem
 from ..optimisation.resampled_view import FINEST_GRID
 from ..optimisation.settings import Settings
@@ -96,9 +96,7 @@ def _steps(problem: Problem, settings: Settings, optimised: Optimised) -> Decisi
         reason = "no loss was left"
     elif "steps" in settings.given:
         reason = "as asked for"
-    elif settings.steps > enough:
-        reason = f"the start fits {masks} large masks badly"
-    saving = 1.0 - done / max(done, MORE_STEPS * enough)
+    saving = 1.0 - done / max(done, enough)
     return Decision("steps", f"{done}", reason, saving)
 
 

@@ -14,7 +14,7 @@ from ..geometry.arrays import Array
 from ..optimisation.camera_correction import corrected_cameras
 from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
-from ..optimisation.optimise import WeighedProblem, optimise, steps_for, weigh
+from ..optimisation.optimise import WeighedProblem, optimise, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
 from ..prior import named_prior
@@ -46,9 +46,6 @@ def run(
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
     diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
-    if not clock.interrupted:
-        with clock.phase("prepare"):
-            settings = replace(settings, steps=steps_for(weighed, settings))
     until = clock.until(settings.seconds)
     begin = None
     if weighed.field and settings.steps and prior is not None:
