@@ -95,7 +95,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--steps",
     type=options.Whole(0),
-    help="Optimiser steps; 0 writes the start.  [default: 32 for each mask, up to four masks; "
+    help="Optimiser steps; 0 writes the start.  [default: 20 for each mask, up to four masks; "
     "encoder modes 12, latent 30; paper 50]",
 )
 @click.option(
