@@ -350,7 +350,7 @@ def test_an_interrupt_writes_the_best_so_far(folder, refine, monkeypatch):
     monkeypatch.setattr(MaskChamferObjective, "__call__", interrupted)
     run = refine(*POINTS, *PLAIN)
     assert run.code == 130
-    assert "interrupted at step 6 of 32: the result is the best so far" in run.err
+    assert "interrupted at step 6 of 20: the result is the best so far" in run.err
     assert Path("initial.refined.ply").exists()
 
 

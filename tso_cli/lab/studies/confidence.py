@@ -37,6 +37,11 @@ HIGHEST_LEVEL = {"many points": 16384, "large picture": 2048}
 """Beyond these levels only the time changes."""
 MASKS = (1, 1, 1, 1, 1, 2, 4)
 """The number of masks is drawn from these."""
+DRAWS = 3
+"""How often alterations are drawn for the fit, each time with other views.
+
+The fit sees validation shapes alone: the learned prior was trained on the training shapes.
+"""
 LEARNED = {"floor under the object": (20.0, 50.0, 100.0)}
 """Levels that the fit sees for every case: drawn at random they are too rare to be learned."""
 WHOLE_STEP = Variant(RefineConfig(accept_doubtful=True))
@@ -144,14 +149,16 @@ def plan(
 ) -> Plan:
     """Refine altered test shapes.
 
-    With ``fit`` first fit the model to validation shapes, and write it there. The training shapes
-    are left out because the learned prior has seen them.
+    With ``fit`` first fit the model to validation shapes, and write it there.
     """
     settings["categories"] = list(settings["categories"])
     if fit is not None:
-        jobs = _jobs(meshes, split, "validation", settings, to_fit=True)
+        jobs: list[Callable[[], list[Row]]] = []
+        for draw in range(DRAWS):
+            drawn = settings | {"seed": settings["seed"] + draw}
+            jobs += _jobs(meshes, split, "validation", drawn, to_fit=True).values()
         rows: list[Row] = []
-        for number, job in enumerate(jobs.values(), 1):
+        for number, job in enumerate(jobs, 1):
             rows += job()
             progress.report("fitting", number, len(jobs))
         with atomic_output(fit) as temporary:
