@@ -115,7 +115,7 @@ def _draw_boxes(axes: Axes) -> None:
         ("prepare", "control points, windows,\nweights of the views,\nmirror plane"),
         ("verify", "short optimisations test\nthe mirror plane and\nweak hypotheses"),
         ("move", "the learned prior moves\nthe start to a likely shape\nthat the masks show"),
-        ("optimise", "a smooth displacement\nmakes points and masks\nagree; a prior holds it"),
+        ("optimise", "a smooth displacement\nmakes points and masks\nagree"),
         ("judge", "confidence and verdict:\ntake all, part or none\nof the displacement"),
     )
     # Of a box, and from the left of a box to the left of the next.

@@ -49,8 +49,8 @@ def test_the_default_preset_takes_the_prior_of_the_study_in_points_mode_alone():
         assert list(chosen) == list(variants)
         for name, variant in chosen.items():
             for config in (variant.config, variant.then):
-                staged = config and (config.preset, config.mode) == ("best", "points")
-                if not staged:
+                smooth = config and (config.preset, config.mode) == ("best", "points")
+                if not smooth:
                     assert config is None or config.prior is None
                 elif name == "no learned prior":
                     assert config.prior == "none"

@@ -9,7 +9,7 @@ from tests.losses.common import assert_gradient
 from tests.scenes import block, problem_of, seen
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.smooth_field import SmoothField
-from tso_cli.optimisation.field_optimisation import FieldOptimisation
+from tso_cli.optimisation.field_optimisation import optimise_field
 from tso_cli.optimisation.learned_start import Beginning
 from tso_cli.optimisation.objective import MaskChamferObjective, ViewTargets
 from tso_cli.optimisation.position_prior import PositionPrior, position_prior
@@ -38,7 +38,9 @@ def test_the_result_is_where_the_optimisation_began_if_no_step_is_better(chair, 
     target = problem.cloud.normalise(chair.target)[: len(start)]
     begun = Beginning(target if nearer else start + [0.5, 0.0, 0.0])
     field = SmoothField(start)
-    found, _ = FieldOptimisation(problem, [1.0], field, BEST, 3e-2, begun).run(0)
+    # Such a step moves every point out of the picture.
+    found = optimise_field(problem, [1.0], field, BEST, 1e3, 1, begin=begun)
+    assert found.losses[1] > found.losses[0]
     np.testing.assert_array_equal(found.best, begun.points if nearer else start)
     assert (found.best_loss < found.first_loss) == nearer
     assert found.best_step == 0
@@ -80,8 +82,9 @@ def test_views_that_all_truncate_the_object_are_no_more_observations_than_one(ch
     def optimised(observations):
         # Observations lower the least prior weight.
         recipe, rate = replace(BEST, least_prior_weight=1e4), BEST_POINTS.learning_rate
-        run = FieldOptimisation(problem, [1.0, 1.0], field, recipe, rate, observations=observations)
-        return run.run(12)[0]
+        return optimise_field(
+            problem, [1.0, 1.0], field, recipe, rate, 12, observations=observations
+        )
 
     one, two = optimised(1.0), optimised(2.0)
     assert np.array_equal(one.best, two.best) == all(truncated)

@@ -76,12 +76,6 @@ def test_a_start_that_fits_its_mask_moves_half_as_far(begin):
     np.testing.assert_allclose(moved[:, 0], PASSES * 0.008, atol=1e-4)
 
 
-def test_without_a_prior_the_start_is_where_it_is(begin):
-    found, moved = begin(None)
-    assert not moved.any()
-    assert found.rightness == 0.0
-
-
 def test_a_view_without_weight_is_not_asked(begin):
     """The second view, from the side, would ask for a motion in depth of the first."""
     _, moved = begin(pushing(0.05, 0.0, 0.0), weights=(1.0, 0.0))

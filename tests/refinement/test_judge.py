@@ -45,6 +45,7 @@ def _square(middle, step=1.0):
 
 
 MASK = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64), name="front")
+FORTY = RefineConfig(steps=40).settings()
 # One pixel to the right, in widths of the square.
 RIGHT = np.array([1.0, 0.0, 0.0]) / 24.0
 
@@ -102,6 +103,9 @@ def test_a_loss_that_is_never_a_number_is_an_error(losses, message):
         (dict(settings=RefineConfig(preset="paper").settings()), "mode"),
         (dict(settings=RefineConfig(mode="latent").settings()), "mode"),
         (dict(interrupted=True), "interrupted"),
+        # Half of the steps are too few, even if they are many.
+        (dict(settings=FORTY, losses=[1.0] * 20, interrupted=True), "interrupted"),
+        (dict(settings=FORTY, losses=[*[1.0] * 20, np.nan]), "steps"),
         (dict(out_of_time=True), "time"),
         (dict(symmetry="unchecked"), "time"),
         (dict(), "steps"),

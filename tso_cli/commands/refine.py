@@ -101,7 +101,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--learning-rate",
     type=float,
-    help="[default: 4e-2 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, "
+    help="[default: 3e-2 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, "
     "1e-6, 5e-6, 1e-3]",
 )
 @click.option(

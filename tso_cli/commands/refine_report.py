@@ -62,7 +62,10 @@ def objective_of(result: RefineResult) -> str:
     chamfer = f"{settings.gamma:g} x Chamfer to the start"
     if settings.preset == "paper":
         return f"BCE + {chamfer}"
-    return "mask Chamfer loss + position prior" + (f" + {chamfer}" if settings.gamma else "")
+    of_points = "mask Chamfer loss" + (f" + {chamfer}" if settings.gamma else "")
+    if settings.smooth:
+        return f"{of_points}; after each step, the position prior as well"
+    return f"{of_points} + position prior"
 
 
 @dataclass(frozen=True)
@@ -305,7 +308,10 @@ class RefineReport:
     def print_details(self) -> None:
         """Every measure and setting."""
         result, fit, settings = self.result, self.result.fit, self.result.settings
-        click.echo(f"  steps  {fit.steps}, best at step {fit.best_step}; ended: {fit.stop_reason}")
+        best = f"best at step {fit.best_step}"
+        if fit.outcome == "moved" and not fit.best_step:
+            best = "best as the learned prior moved it"
+        click.echo(f"  steps  {fit.steps}, {best}; ended: {fit.stop_reason}")
         loss = f"{fit.loss_before:.1f} -> {fit.loss_after:.1f}"
         click.echo(f"  loss   {loss}   ({objective_of(result)})")
         click.echo(

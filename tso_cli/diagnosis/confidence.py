@@ -147,8 +147,8 @@ def features_of(
 ) -> dict[str, float]:
     """What the confidence is computed from, named GROUP: FEATURE.
 
-    ``problem`` has its last windows; ``field`` is of the start; ``ious`` [V] before and after, and
-    ``inlier_weights`` [V] are of the given views.
+    ``problem`` has the windows of the optimisation; ``field`` is of the start. ``ious`` [V] before
+    and after, and ``inlier_weights`` [V], are of the given views.
     """
     start, best = problem.cloud.start, optimised.best
     begun = optimised.begun

@@ -1,10 +1,10 @@
-"""The default preset in points mode: a smooth displacement field that is held near the start."""
+"""The default preset in points mode: a smooth displacement field, held near its beginning."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array
@@ -18,71 +18,57 @@ from .presets import NETWORK, Recipe
 from .problem import Problem
 
 
-@dataclass(frozen=True, eq=False)
-class FieldOptimisation:
-    """An optimisation of a cloud by a smooth displacement field.
+def optimise_field(
+    problem: Problem,
+    weights: Sequence[float],
+    field: SmoothField,
+    recipe: Recipe,
+    learning_rate: float,
+    steps: int,
+    *,
+    begin: Beginning | None = None,
+    observations: float = 1.0,
+    terms: Sequence[Term] = (),
+    on_progress: Progress | None = None,
+    until: float = math.inf,
+) -> Optimised:
+    """Move a cloud by a smooth displacement field until it agrees with its views.
+
+    ``best`` is the best iterate, or the start where the start agrees better with the views.
 
     Parameters
     ----------
-    problem : the cloud and its views. weights : of the given views.
+    weights : of the given views.
     field : of the cloud at its start.
     learning_rate : the largest change of a node's vector in the first step. Smoothing makes the
         points move less.
-    beginning : where the points are at first, and held; the start without it.
+    begin : where the points are at first, and held; the start without it.
     observations : `Problem.observations`: the more views, the looser the points are held.
     terms : further losses.
+    on_progress, until : as `minimise`.
     """
-
-    problem: Problem
-    weights: Sequence[float]
-    field: SmoothField
-    recipe: Recipe
-    learning_rate: float
-    beginning: Beginning | None = None
-    observations: float = 1.0
-    terms: Sequence[Term] = ()
-
-    def run(
-        self, steps: int, on_progress: Progress | None = None, until: float = math.inf
-    ) -> tuple[Optimised, Problem]:
-        """Optimise for ``steps`` steps, ``until`` then (`time.perf_counter`).
-
-        Returns
-        -------
-        What was found: ``best`` is the best iterate, or the start where the start agrees better
-        with the views. And the problem with the windows that were used.
-        """
-        problem, recipe, start = self.problem, self.recipe, self.problem.cloud.start
-        begin = self.beginning or Beginning(start)
-        if recipe.fine_grid:
-            problem = problem.with_windows_around(problem.cloud.denormalise(begin.points))
-        targets = problem.targets(self.weights)
-        # What is truncated in every view stays unknown, however many views there are.
-        observations = 1.0 if targets.truncated else self.observations
-        held = position_prior(begin.points, targets, recipe, observations, begin.rightness)
-        agreement = sum_of([_mask_chamfer(targets, begin.points, self.field, recipe), *self.terms])
-        rate = self.learning_rate
-        optimiser = UniformAdam(rate) if recipe.uniform_adam else Adam(rate)
-        found = minimise(
-            FieldParameters(begin.points, self.field, recipe.smoothness, optimiser),
-            sum_of([agreement, held]),
-            steps,
-            on_progress,
-            until,
-        )
-        # Compared without the position prior, which may hold the cloud elsewhere than at its start.
-        loss_at_start, loss_at_best = agreement(start)[0], agreement(found.best)[0]
-        better = loss_at_best < loss_at_start
-        found = replace(
-            found,
-            best=found.best if better else start,
-            best_step=found.best_step if better else 0,
-            first_loss=loss_at_start,
-            best_loss=min(loss_at_best, loss_at_start),
-            begun=begin,
-            agreement=agreement,
-        )
-        return found, problem
+    start = problem.cloud.start
+    begin = begin or Beginning(start)
+    targets = problem.targets(weights)
+    # What is truncated in every view stays unknown, however many views there are.
+    observations = 1.0 if targets.truncated else observations
+    held = position_prior(begin.points, targets, recipe, observations, begin.rightness)
+    agreement = sum_of([_mask_chamfer(targets, begin.points, field, recipe), *terms])
+    optimiser = UniformAdam(learning_rate) if recipe.uniform_adam else Adam(learning_rate)
+    parameters = FieldParameters(begin.points, field, recipe.smoothness, optimiser)
+    found = minimise(parameters, sum_of([agreement, held]), steps, on_progress, until)
+    # Compared without the position prior, which may hold the cloud elsewhere than at its start.
+    loss_at_start, loss_at_best = agreement(start)[0], agreement(found.best)[0]
+    better = loss_at_best < loss_at_start
+    return replace(
+        found,
+        best=found.best if better else start,
+        best_step=found.best_step if better else 0,
+        first_loss=loss_at_start,
+        best_loss=min(loss_at_best, loss_at_start),
+        begun=begin,
+        agreement=agreement,
+    )
 
 
 def network_objective(initial: Array, targets: ViewTargets) -> Term:

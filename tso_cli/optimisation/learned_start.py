@@ -53,7 +53,7 @@ def beginning(
     problem: Problem,
     weights: Sequence[float],
     field: SmoothField,
-    prior: LearnedPrior | None,
+    prior: LearnedPrior,
     until: float = math.inf,
 ) -> Beginning:
     """The start of the ``problem``, moved as the ``prior`` asks for where the masks agree.
@@ -62,8 +62,6 @@ def beginning(
     time left ``until`` then (`time.perf_counter`); what is not done by then is left out.
     """
     start = problem.cloud.start
-    if prior is None:
-        return Beginning(start)
     now = time.perf_counter()
     end = now + TIME_SHARE * (until - now)
     targets, frame = problem.targets(weights), Frame.of(start)

@@ -43,8 +43,8 @@ class Optimised:
         finite.
     interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
     first_loss, best_loss : of the start and of ``best``.
-    begun : where a `FieldOptimisation` began, None without one. agreement : its objective without
-        the position prior.
+    begun : where `optimise_field` began, None in other optimisations. agreement : its objective
+        without the position prior.
     """
 
     best: Array

@@ -13,7 +13,7 @@ from ..geometry.arrays import Array
 from ..losses.chamfer import ChamferToStart
 from ..losses.photometric import Photo, PhotometricTerm
 from .adam import Adam
-from .field_optimisation import FieldOptimisation, network_objective
+from .field_optimisation import network_objective, optimise_field
 from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import SilhouetteObjective
@@ -56,25 +56,30 @@ def optimise(
 
     The default preset in points mode begins at ``begin``, without it at the start.
 
-    Returns what was found, and the problem with its last windows.
+    Returns what was found, and the problem with the windows of the optimisation.
     """
     problem, start, weights = weighed.problem, weighed.problem.cloud.start, weighed.weights.loss
     chamfer: list[Term] = []
     if settings.gamma:
         chamfer = [_Times(settings.gamma, ChamferToStart(start))]
     if weighed.field:
-        points, recipe = begin.points if begin else start, settings.recipe
-        optimisation = FieldOptimisation(
+        begin, recipe = begin or Beginning(start), settings.recipe
+        around = problem.cloud.denormalise(begin.points)
+        problem = problem.with_windows_around(around, recipe.fine_grid)
+        found = optimise_field(
             problem,
             weights,
             weighed.field,
             recipe,
             settings.learning_rate,
-            begin,
-            problem.observations(weights),
-            [*chamfer, *_photometric(problem, weights, points, recipe.blur)],
+            steps,
+            begin=begin,
+            observations=problem.observations(weights),
+            terms=[*chamfer, *_photometric(problem, weights, begin.points)],
+            on_progress=on_progress,
+            until=until,
         )
-        return optimisation.run(steps, on_progress, until)
+        return found, problem
     term: Term = SilhouetteObjective(problem.resampled, problem.all_weights(weights))
     if settings.preset == "best":
         term = network_objective(start, problem.targets(weights))
@@ -92,10 +97,8 @@ class _Times:
         return self.weight * value, self.weight * gradient
 
 
-def _photometric(
-    problem: Problem, weights: Sequence[float], points: Array, blur: float
-) -> list[Term]:
-    """The terms of the photos of the given views, if the cloud has colours."""
+def _photometric(problem: Problem, weights: Sequence[float], points: Array) -> list[Term]:
+    """The terms of the photos of the given views at ``points``, if the cloud has colours."""
     if problem.cloud.colours is None:
         return []
     colours = np.asarray(problem.cloud.colours, dtype=np.float64)
@@ -104,5 +107,5 @@ def _photometric(
         view = windowed.resampled
         if view.image is not None:
             photo = Photo(view.image, view.target.inside, view.camera, weight)
-            terms.append(PhotometricTerm.at(photo, colours, points, blur))
+            terms.append(PhotometricTerm.at(photo, colours, points))
     return terms

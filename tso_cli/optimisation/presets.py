@@ -61,14 +61,15 @@ FEWEST_CONTROL_POINTS = 16
 
 @dataclass(frozen=True)
 class Recipe:
-    """Settings of the default preset. The ablation changes one at a time.
+    """Numbers of the default preset. The ablation changes one at a time.
+
+    The network modes have their own robust scale, prior weights and resolvability alone.
 
     Parameters
     ----------
     smoothness : lambda of `SmoothField`.
     robust_scale : of the mask Chamfer loss, px of a window of 64.
-    fine_grid : whether windows are resampled at `fine_cells` in place of 64 cells a side.
-    blur : standard deviation of the photometric loss's blur, px of a window of 64.
+    fine_grid : whether windows have `fine_cells` in place of 64 cells a side.
     prior_weight : cost of moving a point, per squared distance (longest side 1), where the mean
         loss of the start per mask pixel is e = 1 px^2. A worse start is held less, by
         prior_weight / e^prior_decay.
@@ -84,7 +85,6 @@ class Recipe:
     smoothness: float = 0.5
     robust_scale: float = 3.0
     fine_grid: bool = True
-    blur: float = 1.0
     prior_weight: float = 350.0
     prior_decay: float = 1.0
     least_prior_weight: float = 250.0
@@ -98,18 +98,12 @@ BEST = Recipe()
 # The network modes. Weights move many points together, so no field is needed. A prediction that is
 # far off has the wrong shape, which small changes of weights do not mend, so the prior falls more
 # slowly with the loss of the start.
-NETWORK = Recipe(
-    smoothness=0.0,
-    prior_weight=500.0,
-    prior_decay=0.5,
-    least_prior_weight=30.0,
-)
-# Two short optimisations are compared to verify a hypothesis. They move large parts together, and
-# hold them loosely: a strong prior would hide how they differ.
+NETWORK = Recipe(prior_weight=500.0, prior_decay=0.5, least_prior_weight=30.0)
+# Two short optimisations are compared to verify a hypothesis. They move large parts together. Their
+# position prior is weak: a strong one would hide how they differ.
 COMPARISON = Recipe(
     smoothness=5.0,
     robust_scale=6.0,
-    fine_grid=False,
     prior_weight=350.0,
     least_prior_weight=30.0,
 )

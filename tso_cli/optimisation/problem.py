@@ -5,34 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ..cloud.cloud import ControlledCloud
 from ..errors import InputError
-from ..geometry.arrays import Array, Box
+from ..geometry.arrays import Array
 from ..geometry.view import View
 from ..geometry.window import window_of
 from .objective import ViewTargets
-from .resampled_view import ResampledView, fine_cells, resample_view
+from .resampled_view import CELLS, ResampledView, fine_cells, resample_view
 from .settings import Settings
 from .symmetry import SymmetryDecision, decide_symmetry
 
 # A flipped view counts as a quarter of a real view: that the object is symmetric is a guess.
 FLIPPED_EVIDENCE = 0.25
-# A window is resampled anew where the logarithm of its side changed by more than this.
-WINDOW_CHANGE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class WindowedView:
-    """A view, resampled to its window.
-
-    fine_cells : cells along the window for the optimisation.
-    """
+    """A view, resampled to its window."""
 
     view: View
     resampled: ResampledView
-    fine_cells: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,27 +82,21 @@ class Problem:
         """The same without the flipped views."""
         return replace(self, flipped=())
 
-    def with_windows_around(self, points: Array) -> Problem:
-        """The same with fine windows around ``points`` [N, 3], in the unit of the source.
+    def with_windows_around(self, points: Array, fine: bool) -> Problem:
+        """The same with windows around ``points`` [N, 3], in the unit of the source.
 
-        A cloud that starts far from its mask has a large window, which would resolve little detail
-        after the learned prior has moved it. Views are resampled where the number of cells or the
-        side of the window changes much.
+        ``fine`` windows have `fine_cells`. A cloud that starts far from its mask has a large
+        window, which would resolve little detail after the learned prior has moved it.
         """
 
-        def moved(windowed: WindowedView) -> WindowedView:
-            cells, now = windowed.fine_cells, windowed.resampled
+        def renewed(windowed: WindowedView) -> WindowedView:
             box = window_of(windowed.view, points)
-            change = abs(np.log(_side(box) / _side(now.box)))
-            if now.camera.width == cells and change <= WINDOW_CHANGE:
-                return windowed
+            cells = fine_cells(box[2] - box[0], len(self.cloud.start)) if fine else CELLS
             of_cloud = self.cloud.centre, self.cloud.scale
             new = resample_view(windowed.view, self.sigma_sq, *of_cloud, box, cells)
-            return replace(windowed, resampled=new)
+            return WindowedView(windowed.view, new)
 
-        given, flipped = (tuple(map(moved, views)) for views in (self.given, self.flipped))
-        if (*given, *flipped) == (*self.given, *self.flipped):
-            return self
+        given, flipped = (tuple(map(renewed, views)) for views in (self.given, self.flipped))
         return replace(self, given=given, flipped=flipped)
 
     def targets(self, weights: Sequence[float]) -> ViewTargets:
@@ -148,12 +134,7 @@ def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -
 
 def _windowed(view: View, cloud: ControlledCloud, sigma_sq: float) -> WindowedView:
     box = window_of(view, cloud.control_points)
-    resampled = resample_view(view, sigma_sq, cloud.centre, cloud.scale, box)
-    return WindowedView(view, resampled, fine_cells(_side(resampled.box), len(cloud.start)))
-
-
-def _side(box: Box) -> float:
-    return box[2] - box[0]
+    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box))
 
 
 def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> None:

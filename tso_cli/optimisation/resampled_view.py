@@ -15,7 +15,7 @@ from ..geometry.view import View
 from ..geometry.window import window_of
 from ..losses.mask_chamfer import REFERENCE_SIDE, MaskTarget
 
-# Cells along the side of a window before the optimisation, which has a fine grid (`fine_cells`).
+# Cells along the side of a window. The optimisation of the default in points mode has `fine_cells`.
 CELLS = 64
 
 

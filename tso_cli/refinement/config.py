@@ -38,8 +38,8 @@ class RefineConfig:
     mode : what is optimised: "points", "encoder" or "encoder-decoder" (the network's weights), or
         "latent" (the vector of 128 numbers between encoder and decoder).
     steps : of the optimiser; 0 returns the start.
-    learning_rate : for a cloud of longest side 1. With "best" in points mode it is how far the
-        point with the largest gradient moves in one of the first steps; else it is Adam's.
+    learning_rate : for a cloud of longest side 1. With "best" in points mode it is the
+        largest change of a node's vector in the first step; else it is Adam's.
     gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
     sigma_sq : variance of the projection's Gaussian in squared cells of a window of 64. The
         default is the paper's, 0.4. The preset "paper" and ``refine_camera`` use it.

@@ -7,7 +7,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..optimisation.loop import Optimised
-from ..optimisation.presets import COMPARISON_STEPS, SHORT_CONTROL_POINTS, default_steps
+from ..optimisation.presets import (
+    BEST_POINTS,
+    COMPARISON_STEPS,
+    SHORT_CONTROL_POINTS,
+    default_steps,
+)
 from ..optimisation.problem import Problem
 from ..optimisation.resampled_view import FINEST_GRID
 from ..optimisation.settings import Settings
@@ -96,7 +101,7 @@ def _steps(problem: Problem, settings: Settings, optimised: Optimised) -> Decisi
         reason = "no loss was left"
     elif "steps" in settings.given:
         reason = "as asked for"
-    saving = 1.0 - done / max(done, enough)
+    saving = 1.0 - done / max(done, BEST_POINTS.steps * masks)
     return Decision("steps", f"{done}", reason, saving)
 
 

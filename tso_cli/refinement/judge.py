@@ -31,7 +31,8 @@ Ious = list[tuple[float, float]]  # of each view, before and after
 # A start of lower IoU hardly touches its mask, like a pole next to the pole of its mask. Coming
 # nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
-# With fewer steps there is no confidence: what a few steps leave undone looks like a mistake.
+# With fewer steps, or half of the steps, there is no confidence: what is left undone looks like a
+# mistake.
 FEWEST_STEPS = BEST_POINTS.steps // 2
 # A view with a lower inlier weight is a finding.
 CONTRADICTED_WEIGHT = 0.5
@@ -63,8 +64,8 @@ def judge(
     """The result of an optimisation.
 
     The displacement is taken as a whole, or in part or not at all where it is likely to make the
-    cloud worse. ``problem`` has the last windows, ``given`` are the views with the cameras that
-    were given.
+    cloud worse. ``problem`` has the windows of the optimisation. ``given`` are the views with the
+    cameras that were given.
 
     Raises TsoError where the loss of the start, or after the first step, is not a finite number.
     """
@@ -144,7 +145,8 @@ def _ending(
         windowed.view.camera is view.camera
         for windowed, view in zip(problem.given, given, strict=True)
     )
-    improved = bool(displacements.any())
+    # The learned prior may have moved a cloud that no step improved.
+    improved = optimised.best_step > 0 or (optimised.begun is not None and displacements.any())
     kept: StopReason | None = None if improved else "not_improved"
     if settings.smooth and same_cameras and problem.masks_alone:
         kept = _why_start_is_kept(problem, moved, ious, weights.loss) or kept
@@ -175,9 +177,10 @@ def _why_unknown(
     problem: Problem, optimised: Optimised, settings: Settings
 ) -> tuple[str, str] | None:
     """Why there is no confidence, as a name and in words; None where there is one."""
-    stopped = optimised.out_of_time or optimised.interrupted
-    steps = optimised.steps if stopped else settings.steps
-    points, few = len(problem.cloud.control_points), steps < FEWEST_STEPS
+    # An optimisation that ended because no loss was left is whole.
+    steps = settings.steps if optimised.losses[-1] == 0.0 else optimised.steps
+    points = len(problem.cloud.control_points)
+    few = steps < max(FEWEST_STEPS, settings.steps / 2)
     # The confidence counts on a symmetry check of a cloud that has a mirror plane.
     late = (optimised.out_of_time and few) or problem.symmetry.outcome == "unchecked"
     reasons = (
@@ -245,7 +248,7 @@ def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> t
 
 
 def _loss_after(problem: Problem, optimised: Optimised, ending: _Ending) -> float:
-    """By the last objective."""
+    """By the objective without the position prior."""
     if ending.outcome != "moved":
         return 0.0 if ending.stop_reason == "nothing_to_do" else optimised.first_loss
     taken = ending.trust.displacement_taken

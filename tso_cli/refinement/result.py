@@ -31,11 +31,11 @@ class Fit:
 
     outcome : "moved"; "unchanged": the start was best; or "refused": there was a displacement, and
         it was too doubtful to be taken.
-    steps : steps that were done. best_step : the step that the result is from; 0 is where the
-        optimisation began.
+    steps : steps that were done. best_step : the step that the result is from. 0 is where the
+        optimisation began: a moved cloud with 0 is as the learned prior moved it.
     stop_reason : "max_steps". After "interrupted" (Ctrl-C), "out_of_time" (of the budget) and
         "non_finite" (the loss became NaN or infinite) the best so far is kept. Where the result is
-        the start: "nothing_to_do" (its loss is 0), "not_improved" (no step had a lower loss) or
+        the start: "nothing_to_do" (its loss is 0), "not_improved" (no moved cloud was better) or
         "doubtful" (refused).
     losses : the objective where the optimisation begins, and after every step.
     loss_before, loss_after : of the start and of the result; with the default preset in points

@@ -112,7 +112,7 @@ def row_of(outcome: Outcome) -> Row | None:
     if ratio is None:
         return None
     row |= {"ratio": round(ratio, 4), "confidence": round(result.trust.confidence or 0.0, 4)}
-    row |= {"flagged": result.trust.verdict == "doubtful", "moved": result.fit.best_step > 0}
+    row |= {"flagged": result.trust.verdict == "doubtful", "moved": result.fit.outcome == "moved"}
     row |= {"iou_gain": round(result.fit.iou_after - result.fit.iou_before, 4)}
     return row, result.trust.features
 
