@@ -21,7 +21,7 @@ COLOUR_ROBUST_SCALE = 0.1
 # Weight of the loss: squared pixels of a mask of 64 per unit of squared colour.
 COLOUR_WEIGHT = 3000.0
 # Standard deviation of the fine blur, px of a mask of 64.
-BLUR = 1.0
+BLUR = 0.5
 # Detail is what a blur of this many times the fine blur removes: light changes slowly across an
 # object, and paint changes fast.
 COARSE_BLUR = 4.0
