@@ -55,7 +55,8 @@ class Problem:
         views, plane = tuple(views), symmetry.plane
         flipped = () if plane is None else tuple(map(plane.flipped, views))
         given, mirrored = (
-            tuple(_windowed(view, cloud, sigma_sq) for view in some) for some in (views, flipped)
+            tuple(_windowed(view, cloud, sigma_sq, cloud.control_points) for view in some)
+            for some in (views, flipped)
         )
         return cls(cloud, given, mirrored, symmetry, sigma_sq)
 
@@ -90,11 +91,7 @@ class Problem:
         """
 
         def renewed(windowed: WindowedView) -> WindowedView:
-            box = window_of(windowed.view, points)
-            cells = fine_cells(box[2] - box[0], len(self.cloud.start)) if fine else CELLS
-            of_cloud = self.cloud.centre, self.cloud.scale
-            new = resample_view(windowed.view, self.sigma_sq, *of_cloud, box, cells)
-            return WindowedView(windowed.view, new)
+            return _windowed(windowed.view, self.cloud, self.sigma_sq, points, fine)
 
         given, flipped = (tuple(map(renewed, views)) for views in (self.given, self.flipped))
         return replace(self, given=given, flipped=flipped)
@@ -132,9 +129,13 @@ def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -
     return Problem.of(cloud, views, symmetry, settings.sigma_sq)
 
 
-def _windowed(view: View, cloud: ControlledCloud, sigma_sq: float) -> WindowedView:
-    box = window_of(view, cloud.control_points)
-    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box))
+def _windowed(
+    view: View, cloud: ControlledCloud, sigma_sq: float, points: Array, fine: bool = False
+) -> WindowedView:
+    """A view in its window around ``points`` [N, 3], in the unit of the source."""
+    box = window_of(view, points)
+    cells = fine_cells(box[2] - box[0], len(cloud.start)) if fine else CELLS
+    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box, cells))
 
 
 def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> None:
