@@ -31,8 +31,8 @@ Ious = list[tuple[float, float]]  # of each view, before and after
 # A start of lower IoU hardly touches its mask, like a pole next to the pole of its mask. Coming
 # nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
-# With fewer steps, or less than half of all, there is no confidence: what is left undone looks like a
-# mistake.
+# With fewer steps, or less than half of all, there is no confidence: what is left undone looks like
+# a mistake.
 FEWEST_STEPS = BEST_POINTS.steps // 2
 # A view with a lower inlier weight is a finding.
 CONTRADICTED_WEIGHT = 0.5
