@@ -46,7 +46,8 @@ def test_four_lines_say_what_was_written_how_well_it_agrees_how_far_it_moved_and
         r"  moved  \d\.\d % of the object's size on average, \d+\.\d % at most", lines[2]
     )
     assert re.fullmatch(
-        r"  used   camera camera.json; assumed mirror-symmetric, as the cloud is; \d+\.\d s",
+        r"  used   camera camera.json; learned prior \(moved \d+\.\d %\); "
+        r"assumed mirror-symmetric, as the cloud is; \d+\.\d s",
         lines[3],
     )
     assert 0.0 < np.abs(refined("initial.refined.ply") - refined("initial.ply")).max() < 0.3

@@ -179,12 +179,22 @@ def test_alternatives_are_joined_by_or_and_findings_of_views_are_listed(findings
 
 def test_the_model_knows_every_feature(right):
     names, (mean, deviation, hidden, offset, output) = _model()
-    assert names == list(right.trust.features)
+    assert set(names) == set(right.trust.features)
     assert {name.split(":")[0] for name in names} == set(REASONS)
     assert hidden.shape == (len(names), len(offset))
     assert len(output) == len(offset) + 1
     assert (deviation > 0.0).all()
     assert len(mean) == len(names)
+
+
+def test_without_an_answer_of_the_learned_prior_its_features_count_as_average(right):
+    names, (mean, *_) = _model()
+    alone = refine(AIRPLANE.points, AIRPLANE.view, config=RefineConfig(prior="none"))
+    missing = set(names) - set(alone.trust.features)
+    assert missing == {"motion: by the prior", "prior: asked", "prior: sureness"}
+    average = {name: mean[names.index(name)] for name in missing}
+    assert alone.trust.confidence == confidence_of(alone.trust.features | average)[0]
+    assert alone.trust.verdict == "improved"
 
 
 def test_the_reason_is_the_group_without_which_the_confidence_would_be_highest(wrong):

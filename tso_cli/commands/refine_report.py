@@ -13,6 +13,7 @@ from ..evaluation.footprint import IOU_MEANS
 from ..geometry.camera import Camera
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
+from ..io.shipped import LEARNED, NO_PRIOR
 from ..optimisation.camera_correction import MISFIT_LEFT
 from ..refinement.decisions import document_of
 from ..refinement.judge import CONTRADICTED_WEIGHT
@@ -224,6 +225,7 @@ class RefineReport:
         parts = [
             self.inputs.network,
             self._cameras(),
+            self._prior(),
             self._symmetry(),
             self._discounted(),
             f"{self.seconds['total']:.1f} s",
@@ -283,6 +285,13 @@ class RefineReport:
         turned = f"turned by {degrees:.1f} degrees"
         return f"{summary}, corrected: {turned}, shifted by {100.0 * shift:.1f} % of its distance"
 
+    def _prior(self) -> str | None:
+        prior, share = self.result.settings.prior, self.result.fit.moved_by_prior
+        if prior == NO_PRIOR or not self.result.fit.steps:
+            return None
+        name = "learned prior" if prior == LEARNED else f"prior {prior}"
+        return f"{name} (moved {f'{100.0 * share:.1f} %' if share else 'nothing'})"
+
     def _symmetry(self) -> str | None:
         if not self.result.fit.steps:
             return None
@@ -336,9 +345,6 @@ class RefineReport:
                 )
             click.echo(f"  camera {text}")
         click.echo(f"  mirror {self._mirror()}")
-        click.echo(
-            f"  prior  {settings.prior}: moved {100.0 * fit.moved_by_prior:.1f} % on average"
-        )
         for decision in result.cost.decisions[:-1]:
             click.echo(f"  spent  {decision.what}: {decision.choice} ({decision.reason})")
         click.echo(

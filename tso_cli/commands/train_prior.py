@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,9 +17,8 @@ from . import options
 from .train_outputs import TrainOutputs
 
 if TYPE_CHECKING:
-    from ..train.prior.config import PriorConfig
     from ..train.prior.shapes import ShapeSet
-    from ..train.prior.state import PriorState, Weights
+    from ..train.prior.state import PriorState
 
 PRIOR_DEFAULTS: dict[str, Any] = {
     "steps": 3000,
@@ -57,6 +57,9 @@ def check_prior(ctx: click.Context) -> None:
 def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> None:
     """Train, write and print; exits with 130 after Ctrl-C."""
     from .. import device as devices
+    from ..io.reading import name_of
+    from ..prior.file import EXPECTED, read_prior
+    from ..prior.network import initial as random_weights
     from ..train.prior.bank import build_bank
     from ..train.prior.config import PriorConfig
     from ..train.prior.loop import train
@@ -84,11 +87,14 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
     if chosen["predicted_by"] is not None:
         predictor = Predictor.read(chosen["predicted_by"])
         chosen["predicted_by"] = predictor.name
+    initial = _initial_prior(outputs.resume, chosen["initial"])
+    chosen["initial"] = initial and name_of(initial, EXPECTED)
     config = options.pick(PriorConfig, chosen)
     device = devices.resolve(config.device)
-    weights = _initial_weights(config, outputs.resume, chosen["initial"])
+    weights = read_prior(initial)[0] if initial else random_weights(config.seed)
     if outputs.resume:
-        check_resumable(outputs.output, config)
+        about_state = check_resumable(outputs.output, config)
+        config = replace(config, initial=about_state["settings"].get("initial"))
     folder = chosen["prior"]
     shapes = read_shapes(
         folder, chosen["without"], chosen["strict"], options.ProgressBar("read meshes")
@@ -167,20 +173,17 @@ def _description(folder: Path, shapes: ShapeSet) -> str:
     return f"{folder.resolve().name}: {len(shapes.shapes)} meshes of {', '.join(categories)}"
 
 
-def _initial_weights(config: PriorConfig, resume: bool, initial: Path | None) -> Weights:
-    """Random weights, or those of the prior ``initial``."""
+def _initial_prior(resume: bool, initial: Path | None) -> Path | None:
+    """The file that the training starts from; None for random weights, or those of a state."""
     from ..io.shipped import DEFAULT
-    from ..prior.file import read_prior, shipped_prior
-    from ..prior.network import initial as random_weights
+    from ..prior.file import shipped_prior
 
-    if initial is None:
-        return random_weights(config.seed)
-    if resume:
+    if initial is not None and resume:
         raise InputError(
             "--init with --resume: the state to resume has weights of its own, "
             "expected one of the two"
         )
-    return read_prior(shipped_prior() if str(initial) == DEFAULT else initial)[0]
+    return shipped_prior() if str(initial) == DEFAULT else initial
 
 
 def _document(state: PriorState, shapes: ShapeSet, about: str) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array, Bits
 from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project_differentiably
+from ..optimisation.learned_start import Beginning
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
 from ..optimisation.position_prior import START_ROBUST_SCALE
@@ -158,10 +159,8 @@ def features_of(
     return {
         **_motion(problem, field, start, best),
         **_rigidity(start, best),
-        "motion: by the prior": _log(_apart(start, begun.points)),
+        **_of_prior(start, begun),
         "motion: after the prior": _log(_apart(begun.points, best)),
-        "prior: asked": _log(begun.asked),
-        "prior: sureness": begun.sureness,
         **_misfit(problem, start, best, ious),
         **_input(problem, diagnosis),
         "input: truncated": float(truncated),
@@ -170,6 +169,17 @@ def features_of(
         "symmetry: loss ratio": _loss_ratio(problem),
         "views: number": _log(views),
         "views: inlier weight": min(inlier_weights),
+    }
+
+
+def _of_prior(start: Array, begun: Beginning) -> dict[str, float]:
+    """What the learned prior said of the start; nothing where it gave no answer."""
+    if begun.asked is None or begun.sureness is None:
+        return {}
+    return {
+        "motion: by the prior": _log(_apart(start, begun.points)),
+        "prior: asked": _log(begun.asked),
+        "prior: sureness": begun.sureness,
     }
 
 
@@ -277,10 +287,12 @@ def _model() -> tuple[list[str], tuple[Array, ...]]:
 def confidence_of(features: dict[str, float]) -> tuple[float, str]:
     """The confidence, and the group of features that lowers it most.
 
-    Without the features of that group (at their means) the confidence would be highest.
+    Without the features of that group (at their means) the confidence would be highest. Features
+    that are not known are at their means too.
     """
     names, (mean, deviation, hidden, offset, output) = _model()
-    standard = (np.array([features[name] for name in names]) - mean) / deviation
+    values = [features.get(name, of_mean) for name, of_mean in zip(names, mean, strict=True)]
+    standard = (np.array(values) - mean) / deviation
     standard = np.clip(standard, -MOST_DEVIATIONS, MOST_DEVIATIONS)
     groups = np.array([name.split(":")[0] for name in names])
     rows = np.stack([standard, *(np.where(groups == group, 0.0, standard) for group in REASONS)])

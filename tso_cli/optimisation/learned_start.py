@@ -38,15 +38,15 @@ class Beginning:
 
     points : [N, 3].
     rightness : in [0, 1], how far the learned prior finds that the start is right already; 0
-        without a learned prior.
+        without an answer of the learned prior.
     asked : the root mean square of the first displacements that the learned prior asks for, in
-        longest sides. sureness : of its first answer, `Answer.sureness`. Both are 0 without it.
+        longest sides. sureness : of its first answer, `Answer.sureness`. Both are None without one.
     """
 
     points: Array
     rightness: float = 0.0
-    asked: float = 0.0
-    sureness: float = 0.0
+    asked: float | None = None
+    sureness: float | None = None
 
 
 def beginning(

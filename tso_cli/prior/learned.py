@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..cloud.smooth_field import falling_weights
+from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..io.shipped import LEARNED, NO_PRIOR
 from ..losses.nearest import nearest_few
@@ -46,6 +47,11 @@ def named_prior(name: str) -> LearnedPrior | None:
     """The prior of a name: "learned", "none" or a file; InputError as `read_prior`."""
     if name == NO_PRIOR:
         return None
+    if name != LEARNED and not (name and Path(name).exists()):
+        raise InputError(
+            f"{name or 'a prior without a name'}: does not exist, expected a learned prior: "
+            f"{LEARNED}, {NO_PRIOR} or a file that tso train --prior has written"
+        )
     return LearnedPrior.read(shipped_prior() if name == LEARNED else Path(name))
 
 

@@ -1,6 +1,7 @@
 """The command `tso train --prior`: what it trains on, what it says, what it refuses."""
 
 import json
+import re
 import shutil
 import signal
 
@@ -106,6 +107,17 @@ def test_a_finished_training_that_is_resumed_writes_its_prior_again(train, folde
     output.unlink()
     assert train(folder, "--resume", "--json").document["steps_of_this_run"] == 0
     assert output.read_bytes() == before
+
+
+def test_a_prior_says_from_which_prior_its_training_began_also_after_a_resumed_run(
+    train, folder, tmp_path
+):
+    output = tmp_path / "my.safetensors"
+    assert train(folder, "--steps", 1, "--init", "default").code == 0
+    began = read_prior(output)[1]["settings"]["initial"]
+    assert re.fullmatch(r"prior\.safetensors, [0-9a-f]{16}", began)
+    assert train(folder, "--steps", 1, "--resume").code == 0
+    assert read_prior(output)[1]["settings"]["initial"] == began
 
 
 def test_other_settings_or_other_meshes_are_not_resumed(train, folder):

@@ -7,9 +7,9 @@ from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
 from tso_cli.io.meshes import Mesh
 from tso_cli.render import RayScene
 from tso_cli.train.prior.masks import (
-    GRID,
     HALF_SIDE,
     SAMPLES_ACROSS,
+    SCENE_GRID,
     Border,
     known_window,
     seen,
@@ -67,11 +67,11 @@ def test_a_square_covers_its_cells():
 def test_the_signed_distance_is_the_distance_to_the_outline(cells):
     mask = silhouette(SQUARE, TRIANGLES, cells)
     distance = signed_distance(mask, Border.whole(cells))
-    centres = ((np.arange(GRID) + 0.5) / GRID * 2.0 - 1.0) * HALF_SIDE
-    middle = distance[GRID // 2]
+    centres = ((np.arange(SCENE_GRID) + 0.5) / SCENE_GRID * 2.0 - 1.0) * HALF_SIDE
+    middle = distance[SCENE_GRID // 2]
     cell = 2.0 * HALF_SIDE / cells
     np.testing.assert_allclose(middle, np.abs(centres) - 0.3, atol=0.75 * cell)
-    assert distance.shape == (GRID, GRID)
+    assert distance.shape == (SCENE_GRID, SCENE_GRID)
 
 
 def test_a_view_is_a_rotation():
@@ -109,7 +109,7 @@ def test_beyond_its_border_a_picture_goes_on_as_at_the_border():
     left, top, right, bottom = known_window(border, 96)
     assert (left, top, right, bottom) == (20, 0, 48, 30)
     np.testing.assert_allclose(
-        distance[:, :left], np.broadcast_to(distance[:, :1], (GRID, left)), atol=1e-6
+        distance[:, :left], np.broadcast_to(distance[:, :1], (SCENE_GRID, left)), atol=1e-6
     )
     # The outline that is cut away is not known: the foreground goes on beyond the border.
     assert distance[20, left] < 0.0

@@ -81,6 +81,15 @@ def test_a_mesh_with_too_many_faces_is_left_out(folder, monkeypatch):
         read_shapes(folder)
 
 
+def test_meshes_of_one_name_in_folders_of_their_own_are_different_objects(tmp_path):
+    for name in CHAIRS:
+        (tmp_path / "chair" / name / "models").mkdir(parents=True)
+        mesh = tmp_path / "chair" / name / "models" / "model_normalized.ply"
+        shutil.copy(MESHES / "chair" / f"{name}.ply", mesh)
+    names = [f"chair/{name}/models/model_normalized" for name in CHAIRS]
+    assert [shape.name for shape in read_shapes(tmp_path).shapes] == names
+
+
 def test_one_mesh_is_too_few(folder):
     (folder / "chair" / "q17_Chair.ply").unlink()
     with pytest.raises(InputError, match="has 1 usable objects of the category 'chair'"):

@@ -8,7 +8,7 @@ import torch
 
 from tso_cli.train.prior import scenes, starts
 from tso_cli.train.prior.bank import build_bank
-from tso_cli.train.prior.masks import GRID, HALF_SIDE
+from tso_cli.train.prior.masks import HALF_SIDE, SCENE_GRID
 from tso_cli.train.prior.shapes import POINTS
 from tso_cli.train.prior.starts import draw, mirrored
 
@@ -33,9 +33,9 @@ def chamfer(first, second):
 
 
 def looked_up(maps, w):
-    """Maps [B, V, GRID, GRID] at image coordinates w [B, V, N, 2], by the nearest cell."""
-    place = ((w / HALF_SIDE + 1.0) / 2.0 * GRID).floor().long().clamp(0, GRID - 1)
-    return maps.flatten(2).gather(2, place[..., 1] * GRID + place[..., 0])
+    """Maps [B, V, S, S] at image coordinates w [B, V, N, 2], by the nearest cell."""
+    place = ((w / HALF_SIDE + 1.0) / 2.0 * SCENE_GRID).floor().long().clamp(0, SCENE_GRID - 1)
+    return maps.flatten(2).gather(2, place[..., 1] * SCENE_GRID + place[..., 0])
 
 
 def seen(points, batch):
@@ -49,8 +49,9 @@ def test_a_batch_has_the_shapes_that_it_states(bank):
     points = batch.start.shape[1]
     shapes = {
         "start": (16, points, 3), "target": (16, POINTS, 3), "counterpart": (16, points, 3),
-        "rotation": (16, 2, 3, 3), "closeness": (16, 2), "distance": (16, 2, GRID, GRID),
-        "known": (16, 2, GRID, GRID),
+        "rotation": (16, 2, 3, 3), "closeness": (16, 2),
+        "distance": (16, 2, SCENE_GRID, SCENE_GRID),
+        "known": (16, 2, SCENE_GRID, SCENE_GRID),
     }  # fmt: skip
     assert {
         field.name: tuple(getattr(batch, field.name).shape) for field in fields(batch)
@@ -145,7 +146,7 @@ def test_the_target_is_seen_inside_its_masks(bank, plain):
     known = looked_up(batch.known, w) == 1.0
     assert inside[known].float().mean() > 0.99
     # The mask is no larger than the object: its cells have a target's point near them.
-    centres = ((torch.arange(GRID) + 0.5) / GRID * 2.0 - 1.0) * HALF_SIDE
+    centres = ((torch.arange(SCENE_GRID) + 0.5) / SCENE_GRID * 2.0 - 1.0) * HALF_SIDE
     cells = torch.stack(torch.meshgrid(centres, centres, indexing="xy"), -1).reshape(-1, 2)
     foreground = ((batch.distance < -0.02) & (batch.known == 1.0)).flatten(2)
     distance = torch.cdist(cells.expand(64, 2, -1, -1), w).amin(3)

@@ -178,7 +178,9 @@ def fitted(rows: Sequence[Row], seed: int = 0) -> Record:
     chosen = [
         (row["ratio"] > WORSE, features) for row, features in rows if features and row["moved"]
     ]
-    names = list(chosen[0][1])
+    names = max((list(features) for _, features in chosen), key=len)
+    # Where the learned prior gave no answer, some features are not known.
+    chosen = [(is_worse, features) for is_worse, features in chosen if len(features) == len(names)]
     values = np.array([[features[name] for name in names] for _, features in chosen])
     worse = torch.tensor([float(is_worse) for is_worse, _ in chosen])
     mean, deviation = values.mean(0), values.std(0) + 1e-6

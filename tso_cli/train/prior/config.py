@@ -29,6 +29,8 @@ class PriorConfig:
     predicted_by : name of the network whose predictions are starts too (`Predictor.name`); None
         for no such starts.
     predictions : the most predictions that are drawn before the training.
+    initial : name of the prior whose weights the training starts from (`io.reading.name_of`); None
+        for random weights.
     seed : seed of the weights and of every draw. A run depends on the seed, the shapes and the
         device alone.
     """
@@ -38,6 +40,7 @@ class PriorConfig:
     scenes: int = 8000
     predicted_by: str | None = None
     predictions: int = 1600
+    initial: str | None = None
     seed: int = 0
     device: str = "cpu"
 
@@ -47,9 +50,13 @@ class PriorConfig:
                 raise InputError(f"`{name}` is {getattr(self, name)}, expected 1 or more")
 
     def settings(self) -> dict[str, int | str]:
-        """What a resumed run must have in common with the run that it continues."""
+        """What a resumed run must have in common with the run that it continues.
+
+        A run that is being resumed does not know `initial` itself: the file that it resumes does.
+        """
         of_predictions = OF_PREDICTIONS if self.predicted_by else ()
-        names = ("steps", "batch_size", "scenes", "seed", *of_predictions)
+        of_initial = ("initial",) if self.initial else ()
+        names = ("steps", "batch_size", "scenes", "seed", *of_predictions, *of_initial)
         return {name: getattr(self, name) for name in names}
 
     def learning_rate(self, step: int) -> float:

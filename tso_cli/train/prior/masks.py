@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt
 from ...geometry.arrays import Array, Bits, Floats
 from ...kernels.triangles_numba import cover
 
-GRID = 48  # cells along a side of a map
+SCENE_GRID = 48  # cells along a side of a map of a scene; the network sees `features.GRID`
 HALF_SIDE = 0.9  # a map shows [-HALF_SIDE, HALF_SIDE]^2, in longest sides of the object
 SAMPLES_ACROSS = 3  # samples across one cell of a mask, 9 in all: no ties at half coverage
 
@@ -60,7 +60,9 @@ def silhouette(image: NDArray[np.floating], faces: NDArray[np.int32], cells: int
 
 
 def signed_distance(mask: Bits, border: Border) -> Floats:
-    """Distances [GRID, GRID] from the outline of ``mask``, negative inside, in longest sides.
+    """Distances from the outline of ``mask``, negative inside, in longest sides.
+
+    [SCENE_GRID, SCENE_GRID].
 
     Only what the picture shows counts. Beyond its border stands the distance of the nearest cell
     inside. The part that is shown must have foreground and background.
@@ -72,7 +74,7 @@ def signed_distance(mask: Bits, border: Border) -> Floats:
     # The outline lies half a cell from the centres of the cells next to it.
     cell = 2.0 * HALF_SIDE / cells
     distance = np.where(shown, 0.5 - inside, outside - 0.5) * cell
-    centres = (np.arange(GRID, dtype=np.float64) + 0.5) * (cells / GRID) - 0.5
+    centres = (np.arange(SCENE_GRID, dtype=np.float64) + 0.5) * (cells / SCENE_GRID) - 0.5
     rows = _interpolation(centres - border.top, shown.shape[0])
     columns = _interpolation(centres - border.left, shown.shape[1])
     return (rows @ distance @ columns.T).astype(np.float32)
@@ -94,7 +96,7 @@ def known_window(border: Border, cells: int) -> NDArray[np.uint8]:
 
     They are left, top, right and bottom [4]; right and bottom do not belong to it.
     """
-    centres = (np.arange(GRID) + 0.5) * (cells / GRID)
+    centres = (np.arange(SCENE_GRID) + 0.5) * (cells / SCENE_GRID)
     low = np.searchsorted(centres, [border.left, border.top])
     high = np.searchsorted(centres, [border.right, border.bottom])
     return np.concatenate([low, high]).astype(np.uint8)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -19,6 +18,7 @@ from ...geometry.camera import CANONICAL_ROTATION, Camera, intrinsics
 from ...geometry.view import View
 from ...io.checkpoints import load_network
 from ...io.meshes import Mesh
+from ...io.reading import name_of
 from ...io.shipped import CATEGORIES, DEFAULT, named_checkpoint
 from ...network.input import network_input
 from ...render.variation import paint
@@ -50,7 +50,7 @@ class Predictor:
     """A network that predicts clouds of at least POINTS points.
 
     categories : that it knows; None for all.
-    name : the file's name and the digest of its bytes.
+    name : of its file, `name_of`.
     """
 
     network: BaseNetwork
@@ -73,9 +73,8 @@ class Predictor:
         if about.points < POINTS:
             found = f"the network predicts {about.points} points"
             raise InputError(f"{path}: {found}, expected {POINTS} or more for starts of a prior")
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
         known = CATEGORIES if str(checkpoint) == DEFAULT else None
-        return cls(network, about, known, f"{path.name}, {digest}")
+        return cls(network, about, known, name_of(path, "a checkpoint"))
 
     def knows(self, category: str) -> bool:
         return self.categories is None or category in self.categories

@@ -36,7 +36,7 @@ class Scene:
     shape : index of the shape.
     samplings : [2, POINTS, 3], two samplings of the surface as it is seen.
     rotation, closeness : [VIEWS, 3, 3] and [VIEWS], see `masks.seen`.
-    distance : [VIEWS, GRID, GRID] float16, see `masks.signed_distance`.
+    distance : [VIEWS, SCENE_GRID, SCENE_GRID] float16, see `masks.signed_distance`.
     window : [VIEWS, 4], see `masks.known_window`.
     lattice : of the deformation (`warps.draw_lattices`), [SIDE^3, 3]; None for the shape as it is.
     """

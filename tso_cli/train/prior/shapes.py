@@ -93,9 +93,12 @@ def read_shapes(
     Raises InputError if no category with two kinds is left, or one of ``without`` is not there.
     """
     paths: dict[Path, str] = {}
+    inside: dict[Path, Path] = {}  # below the folder of the category
     for path in find_meshes(folder):
-        inside = path.relative_to(folder).parts
-        paths[path] = inside[0] if len(inside) > 1 else folder.resolve().name
+        parts = path.relative_to(folder).parts
+        paths[path] = parts[0] if len(parts) > 1 else folder.resolve().name
+        inside[path] = Path(*parts[1:]) if len(parts) > 1 else Path(path.name)
+    stems = Counter((category, path.stem) for path, category in paths.items())
     known = sorted(set(paths.values()))
     if unknown := [name for name in without if name not in known]:
         raise InputError(
@@ -105,8 +108,11 @@ def read_shapes(
     paths = {path: category for path, category in paths.items() if category not in without}
     shapes, skipped = [], {}
     for number, (path, category) in enumerate(paths.items(), 1):
+        # In some collections all meshes have one name, each in a folder of its own.
+        repeated = stems[category, path.stem] > 1
+        name = inside[path].with_suffix("").as_posix() if repeated else path.stem
         try:
-            shapes.append(_read_shape(path, f"{category}/{path.stem}", category))
+            shapes.append(_read_shape(path, name, category))
         except InputError as error:
             if strict:
                 raise
@@ -129,20 +135,21 @@ def read_shapes(
     return ShapeSet(shapes, skipped)
 
 
-def _read_shape(path: Path, name: str, category: str) -> Shape:
-    """The shape of one file; InputError if it cannot be used."""
+def _read_shape(path: Path, inside: str, category: str) -> Shape:
+    """The shape of one file, named ``inside`` its category; InputError if it cannot be used."""
     mesh = read_mesh(path, textures=False)
     if len(mesh.faces) > MOST_FACES:
         raise InputError(
             f"{path}: has {len(mesh.faces):,} faces, expected at most {MOST_FACES:,}; simplify it"
         )
     mesh = normalise(mesh)
+    name = f"{category}/{inside}"
     rng = np.random.default_rng([0, zlib.crc32(name.encode())])
     samplings = np.stack([evenly_spread(mesh.vertices, mesh.faces, rng) for _ in range(2)])
     return Shape(
         name,
         category,
-        f"{category}/{shape_type(path.stem)}",
+        f"{category}/{shape_type(inside)}",
         mesh.vertices.astype(np.float32),
         mesh.faces.astype(np.int32),
         samplings,

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ...geometry.arrays import Array, Bits, Indices
 from .bank import Bank
-from .masks import GRID
+from .masks import SCENE_GRID
 from .shapes import POINTS
 from .warps import STRENGTH, draw_lattices, warped
 
@@ -43,8 +43,9 @@ class Batch:
     counterpart : [B, M, 3], where each point of the start belongs; NaN where that is not known.
     rotation : [B, VIEWS, 3, 3], from the frame of the truth to the view's axes.
     closeness : [B, VIEWS], u of `masks.seen`.
-    distance : [B, VIEWS, GRID, GRID], see `masks.signed_distance`.
-    known : [B, VIEWS, GRID, GRID], 1 where the picture shows the scene, 0 beyond its border.
+    distance : [B, VIEWS, SCENE_GRID, SCENE_GRID], see `masks.signed_distance`.
+    known : [B, VIEWS, SCENE_GRID, SCENE_GRID], 1 where the picture shows the scene, 0 beyond its
+        border.
     """
 
     start: Tensor
@@ -184,11 +185,11 @@ def _strew(start: Tensor, counterpart: Tensor, rng: np.random.Generator) -> None
 
 
 def _maps(bank: Bank, scene: Indices, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Signed distances and what is known of them, [B, VIEWS, GRID, GRID] each."""
+    """Signed distances and what is known of them, [B, VIEWS, SCENE_GRID, SCENE_GRID] each."""
     distance = bank.distance[_to(bank, scene)].float()
     noise = rng.normal(0.0, DISTANCE_NOISE, (*distance.shape[:2], 1, 1))
     window = bank.window[_to(bank, scene)][:, :, :, None]
-    place = torch.arange(GRID, device=bank.device)
+    place = torch.arange(SCENE_GRID, device=bank.device)
     columns = (place >= window[:, :, 0]) & (place < window[:, :, 2])
     rows = (place >= window[:, :, 1]) & (place < window[:, :, 3])
     return distance + _to(bank, noise), (rows[..., :, None] & columns[..., None, :]).float()
