@@ -81,6 +81,7 @@ def advice() -> str:
     rows = [
         ("a cloud, one mask", "the default", "other", "points, best"),
         ("", "`--points 512`", "other", "points, best, 512 move"),
+        ("", "`--prior none`", "other", "points, best, no learned prior"),
         ("", "`--preset paper`", "other", "points, paper"),
         (
             "",
