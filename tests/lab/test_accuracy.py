@@ -148,7 +148,7 @@ def test_targets_are_met_only_where_the_figures_say_so(times, more, missed):
         for category in ("airplane", "car")
         for case in several(10, kind, category, GOOD, before=before)
     ]
-    aims, near_the_truth, clearly_worse = 4 + 1, 2, 2
+    aims, near_the_truth, clearly_worse = 4 + 1, 2, 2 + 1
     assert len(held(cases)) == aims + 1 + near_the_truth + clearly_worse + 1
     found = held([*cases * times, *more])
     assert {text.rpartition(": ")[0] for text, holds in found.items() if not holds} == missed
@@ -159,6 +159,13 @@ def test_of_each_kind_of_start_few_cases_become_clearly_worse(ratio, count, hold
     most = several(count - 1, "cut", "car", GOOD)
     found = held([*most, fake("cut", "car", count, GOOD | {"best": ratio})])
     assert found["cut: best: under 2 % of cases become worse by over 5 %"] == holds
+
+
+@pytest.mark.parametrize(("count", "holds"), [(100, False), (101, True)])
+def test_of_all_cases_still_fewer_become_clearly_worse(count, holds):
+    most = several(50, "cut", "car", GOOD) + several(count - 51, "other", "car", GOOD)
+    found = held([*most, fake("cut", "car", count, GOOD | {"best": 1.06})])
+    assert found["all starts: best: under 1 % of cases become worse by over 5 %"] == holds
 
 
 def test_an_aim_is_a_ratio_of_means():

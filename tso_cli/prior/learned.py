@@ -50,7 +50,7 @@ def named_prior(name: str) -> LearnedPrior | None:
     if name != LEARNED and not (name and Path(name).exists()):
         raise InputError(
             f"{name or 'a prior without a name'}: does not exist, expected a learned prior: "
-            f"{LEARNED}, {NO_PRIOR} or a file that tso train --prior has written"
+            f"{LEARNED}, {NO_PRIOR} or a file that tso train has written"
         )
     return LearnedPrior.read(shipped_prior() if name == LEARNED else Path(name))
 

@@ -28,6 +28,8 @@ NEAR_MEAN, NEAR_WORST = 1.00, 1.05
 NEAR_ENOUGH = 1.5
 # Aims for harm: the share of cases stays below this, and the worst ratio is at most this.
 WORSE_SHARE, WORST = 0.02, 1.05
+# The share of all cases of the default preset that may have a ratio over `WORST`.
+CLEARLY_WORSE_SHARE = 0.01
 # Aims of the network modes: gain over the paper's settings, and mean ratio of the best combination.
 NETWORK_TIMES, NETWORK_BEST = 2.0, 0.75
 
@@ -39,7 +41,8 @@ def claims(cases: Cases) -> list[Record]:
     if "other" in kinds:
         answers.append(_beyond_the_paper(kinds["other"]))
     answers += _stays_right(grouped(kinds.get("near", []), "category"))
-    answers += [_rarely_clearly_worse(kind, group) for kind, group in kinds.items()]
+    answers += [_rarely_clearly_worse(kind, group, WORSE_SHARE) for kind, group in kinds.items()]
+    answers.append(_rarely_clearly_worse("all starts", cases, CLEARLY_WORSE_SHARE))
     # A start at the floor can only get worse.
     starts = {kind: group for kind, group in kinds.items() if kind != "right"}
     if starts:
@@ -126,13 +129,13 @@ def _rarely_worse(what: str, groups: dict[str, np.ndarray], share: float = 0.0) 
     return claim(text, holds, "; ".join(figures))
 
 
-def _rarely_clearly_worse(kind: str, cases: Cases) -> Record:
-    """Of one kind of start, with one mask."""
+def _rarely_clearly_worse(kind: str, cases: Cases, limit: float) -> Record:
+    """Of one kind of start, or all, with one mask; the share must be under the ``limit``."""
     ratios = ratios_of(cases, DEFAULT)
     share = float((ratios > WORST).mean())
-    text = f"{kind}: {DEFAULT}: under {100.0 * WORSE_SHARE:g} % of cases become worse by over "
+    text = f"{kind}: {DEFAULT}: under {100.0 * limit:g} % of cases become worse by over "
     found = f"{100.0 * share:.1f} % of {len(ratios)}, worst {ratios.max():.3f}"
-    return claim(f"{text}{100.0 * (WORST - 1.0):.0f} %", share < WORSE_SHARE, found)
+    return claim(f"{text}{100.0 * (WORST - 1.0):.0f} %", share < limit, found)
 
 
 def _network(cases: Cases) -> list[Record]:
