@@ -15,12 +15,17 @@ from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, Rectangle
 from scipy.spatial import cKDTree
 
-from tso_cli import Camera, View, refine
+from tso_cli import Camera, RefineConfig, View, refine
+from tso_cli.cloud.cloud import Cloud
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.window import window_of
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.masks import read_mask
+from tso_cli.optimisation.learned_start import beginning
+from tso_cli.optimisation.optimise import weigh
+from tso_cli.optimisation.problem import prepare
+from tso_cli.prior import named_prior
 
 DOCS = Path(__file__).parent
 CHAIR = DOCS.parent / "examples" / "chair"
@@ -40,23 +45,25 @@ def draw_pipeline(path: Path) -> None:
     height, width = mask.shape
     camera = read_camera(CHAIR / "camera.json", width, height)
     initial = read_cloud(CHAIR / "initial.ply").points
-    refined = refine(initial, mask, camera).points
-    box = window_of(View(mask, camera), initial)
+    view = View(mask, camera)
+    moved, refined = _moved_by_the_prior(initial, view), refine(initial, mask, camera).points
+    box = window_of(view, initial)
     cells = area_resize(mask, box, CELLS, CELLS)[0]
     in_window = camera.cropped(box, CELLS, CELLS)
 
-    figure = plt.figure(figsize=(13.0, 5.0), dpi=110)
-    _draw_boxes(figure.add_axes((0.0, 0.55, 1.0, 0.45)))
-    panels = [figure.add_axes((0.012 + 0.198 * i, 0.02, 0.18, 0.47)) for i in range(5)]
     titles = (
         "mask, cloud and window",
         "resampled: 64 x 64 cells",
         "flipped view: a second picture",
-        "objective: pairs that attract",
+        "moved by the learned prior",
+        "pairs that attract, for the start",
         "result",
     )
+    figure = plt.figure(figsize=(13.0, 4.5), dpi=110)
+    _draw_boxes(figure.add_axes((0.0, 0.53, 1.0, 0.47)))
+    panels = [figure.add_axes((0.01 + 0.1655 * i, 0.01, 0.1525, 0.45)) for i in range(len(titles))]
     for panel, title in zip(panels, titles, strict=True):
-        panel.set_title(title, fontsize=9.5)
+        panel.set_title(title, fontsize=9.0)
         panel.set_xticks([])
         panel.set_yticks([])
 
@@ -78,12 +85,25 @@ def draw_pipeline(path: Path) -> None:
     _show_points(panels[2], flipped)
 
     _show_mask(panels[3], cells)
-    _show_pairs(panels[3], cells > 0.5, in_window.project(initial)[0])
+    _show_points(panels[3], in_window.project(moved)[0])
 
     _show_mask(panels[4], cells)
-    _show_points(panels[4], in_window.project(refined)[0])
+    _show_pairs(panels[4], cells > 0.5, in_window.project(moved)[0])
+
+    _show_mask(panels[5], cells)
+    _show_points(panels[5], in_window.project(refined)[0])
     figure.savefig(path)
     plt.close(figure)
+
+
+def _moved_by_the_prior(initial: np.ndarray, view: View) -> np.ndarray:
+    """Where the optimisation begins: the points [N, 3] as the shipped learned prior moves them."""
+    settings = RefineConfig().settings()
+    cloud = Cloud(initial, "initial").controlled(settings.points, (view,))
+    weighed = weigh(prepare(cloud, (view,), settings), settings)
+    prior = named_prior(settings.prior)
+    begun = beginning(weighed.problem, weighed.weights.loss, weighed.field, prior)
+    return cloud.denormalise(begun.points)
 
 
 def _draw_boxes(axes: Axes) -> None:
@@ -94,27 +114,28 @@ def _draw_boxes(axes: Axes) -> None:
         ("examine", "do cloud, masks and\ncameras belong together?\nfindings are reported"),
         ("prepare", "control points, windows,\nweights of the views,\nmirror plane"),
         ("verify", "short optimisations test\nthe mirror plane and\nweak hypotheses"),
-        (
-            "optimise",
-            "three stages, from smooth\nto detailed displacements;\ntheir mean is the result",
-        ),
+        ("move", "the learned prior moves\nthe start to a likely shape\nthat the masks show"),
+        ("optimise", "a smooth displacement\nmakes points and masks\nagree"),
         ("judge", "confidence and verdict:\ntake all, part or none\nof the displacement"),
     )
-    for number, (name, text) in enumerate(steps):
-        left = 0.15 + 2.57 * number
+    # Of a box, and from the left of a box to the left of the next.
+    width, apart = 1.86, 2.15
+    middles = [0.18 + width / 2.0 + apart * number for number in range(len(steps))]
+    for number, (middle, (name, text)) in enumerate(zip(middles, steps, strict=True)):
+        left = middle - width / 2.0
         box = FancyBboxPatch(
-            (left, 0.75), 2.2, 1.3, boxstyle="round,pad=0.05", fc="#eef2f6", ec=POINTS, lw=1.2
+            (left, 0.75), width, 1.3, boxstyle="round,pad=0.05", fc="#eef2f6", ec=POINTS, lw=1.2
         )
         axes.add_patch(box)
-        axes.text(left + 1.1, 1.82, name, ha="center", weight="bold", fontsize=12, color=INK)
-        axes.text(left + 1.1, 1.2, text, ha="center", va="center", fontsize=9.5, color=INK)
+        axes.text(middle, 1.82, name, ha="center", weight="bold", fontsize=12, color=INK)
+        axes.text(middle, 1.2, text, ha="center", va="center", fontsize=9.0, color=INK)
         if number:
-            _arrow(axes, (left - 0.32, 1.4), (left - 0.07, 1.4))
-    ends = ((1.25, "cloud, masks, cameras"), (11.53, "cloud, verdict, findings"))
+            _arrow(axes, (left - 0.26, 1.4), (left - 0.03, 1.4))
+    ends = ((middles[0], "cloud, masks, cameras"), (middles[-1], "cloud, verdict, findings"))
     for place, text in ends:
         axes.text(place, 2.42, text, ha="center", fontsize=10, style="italic", color=INK)
-    _arrow(axes, (1.25, 2.36), (1.25, 2.12))
-    _arrow(axes, (11.53, 2.12), (11.53, 2.36))
+    _arrow(axes, (middles[0], 2.36), (middles[0], 2.12))
+    _arrow(axes, (middles[-1], 2.12), (middles[-1], 2.36))
 
 
 def _show_mask(axes: Axes, mask: np.ndarray) -> None:
@@ -145,7 +166,14 @@ def _show_pairs(axes: Axes, inside: np.ndarray, pixels: np.ndarray) -> None:
     axes.scatter(*pixels[outside].T, s=3.0, color=WRONG, label="point outside")
     axes.set_xlim(-0.5, CELLS - 0.5)
     axes.set_ylim(CELLS - 0.5, -0.5)
-    axes.legend(loc="upper left", fontsize=7, markerscale=2.0, frameon=False)
+    axes.legend(
+        loc="upper left",
+        fontsize=6.5,
+        markerscale=2.0,
+        frameon=False,
+        handletextpad=0.0,
+        borderaxespad=0.0,
+    )
 
 
 # ---------------------------------------------------------------------------------- conventions

@@ -22,6 +22,14 @@ DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 PAGES = (README, ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")))
 RECORDS = DOCS / "records"
+KINDS = {
+    "other": "another shape of the same type",
+    "turned": "another shape; the whole scene is turned",
+    "near": "another shape close to the truth",
+    "cut": "another shape; the object is truncated",
+    "network": "the shipped network's prediction",
+    "right": "the truth itself, sampled anew",
+}
 CONSOLE = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
 
@@ -73,6 +81,7 @@ def advice() -> str:
     rows = [
         ("a cloud, one mask", "the default", "other", "points, best"),
         ("", "`--points 512`", "other", "points, best, 512 move"),
+        ("", "`--prior none`", "other", "points, best, no learned prior"),
         ("", "`--preset paper`", "other", "points, paper"),
         (
             "",
@@ -130,6 +139,7 @@ def types() -> str:
             f"{row['mean_ratio']:.2f}",
             f"{row['worst_ratio']:.2f}",
             str(row["worse"]),
+            f"{group['bound_ratio']:.2f}" if "bound_ratio" in group else "-",
             f"{before['floor_ratio']:.2f}",
         )
         measures = (
@@ -143,6 +153,7 @@ def types() -> str:
         "mean",
         "worst",
         "made worse",
+        "oracle",
         "floor",
         "F-score",
         "IoU",
@@ -150,11 +161,49 @@ def types() -> str:
     return markdown(header, rows)
 
 
-def pooled(kind: str, variant: str) -> list[str]:
+def prior() -> str:
+    """What the learned prior brings: with one mask, by type for other shapes, then by start."""
+    kinds = record("accuracy-ablation")["summary"]
+    names = ("best", "no learned prior")
+    rows = []
+    for category, group in kinds["other"].items():
+        cells = (group["variants"][name] for name in names)
+        ratios = [f"{row['mean_ratio']:.2f}, {row['worst_ratio']:.2f}" for row in cells]
+        rows.append([KINDS["other"], f"{category}, {group['cases']}", *ratios])
+    for kind in list(kinds)[1:]:
+        cells = (pooled(kind, name, "accuracy-ablation") for name in names)
+        total = sum(group["cases"] for group in kinds[kind].values())
+        rows.append(
+            [KINDS[kind], f"all, {total}", *(f"{mean}, {worst}" for mean, worst, _ in cells)]
+        )
+    return markdown(["start", "object, clouds", "with the learned prior", "without"], rows)
+
+
+def aims() -> str:
+    """Aims of the default, what it comes to, and what an oracle does; ratios of means."""
+    from tso_cli.lab.studies.accuracy_claims import AIMS, ALL
+
+    rows = []
+    for kind, of_kind in AIMS.items():
+        groups = record("accuracy")["summary"][kind]
+        for category, of_category in of_kind.items():
+            chosen = list(groups.values()) if category == ALL else [groups[category]]
+            before = sum(group["cases"] * group["before"]["chamfer"] for group in chosen)
+            for variant, aim in of_category.items():
+                after = sum(g["cases"] * g["variants"][variant]["chamfer"] for g in chosen)
+                masks = {"best": "one", "best, two masks": "two"}[variant]
+                bound = groups.get(category, {}).get("bound_ratio")
+                cells = (f"{aim:.2f}", f"{after / before:.2f}")
+                of_one = f"{bound:.2f}" if bound and masks == "one" else "-"
+                rows.append([KINDS[kind], f"{category}, {masks}", *cells, of_one])
+    return markdown(["start", "object, masks", "aim", "result", "oracle"], rows)
+
+
+def pooled(kind: str, variant: str, study: str = "accuracy") -> list[str]:
     """Of all object types: mean and worst Chamfer after / before, and how many got worse."""
     groups = [
         (group["cases"], group["variants"][variant])
-        for group in record("accuracy")["summary"][kind].values()
+        for group in record(study)["summary"][kind].values()
     ]
     total = sum(cases for cases, _ in groups)
     mean = sum(cases * row["mean_ratio"] for cases, row in groups) / total
@@ -167,17 +216,11 @@ def pooled(kind: str, variant: str) -> list[str]:
 
 def starts() -> str:
     """By kind of start: mean, worst, and how many got worse."""
-    kinds = {
-        "other": "another shape of the same type",
-        "near": "another shape close to the truth",
-        "cut": "another shape; the object is truncated",
-        "network": "the shipped network's prediction",
-        "right": "the truth itself, sampled anew",
-    }
     variants = {"paper": "paper", "default": "best", "default, four masks": "best, four masks"}
     rows = [
         [label, *(", ".join(pooled(kind, name)) for name in variants.values())]
-        for kind, label in kinds.items()
+        for kind, label in KINDS.items()
+        if kind in record("accuracy")["summary"]
     ]
     return markdown(["start", *variants], rows)
 
@@ -200,11 +243,11 @@ def depth() -> str:
     return markdown(["observations", "after / before", "worst"], cells)
 
 
-def targets(name: str) -> str:
-    """How many targets of a study are met."""
+def aims_met(name: str) -> str:
+    """How many aims of a study are met."""
     claims = record(name)["claims"]
     met = sum(claim["holds"] for claim in claims)
-    return f"{met} of {len(claims)} targets are met ([which](records/{name}.md))."
+    return f"{met} of {len(claims)} aims are met ([which](records/{name}.md))."
 
 
 def cameras() -> str:
@@ -477,25 +520,6 @@ def record_minutes() -> str:
     return markdown(["record", "minutes"], rows)
 
 
-def stages() -> str:
-    """The stages of the default preset."""
-    from tso_cli.optimisation.presets import STAGES
-
-    columns = {
-        "smoothness lambda": "smoothness",
-        "robust scale r": "robust_scale",
-        "learning-rate scale": "learning_rate_scale",
-        "nodes": "nodes",
-        "averaging weight": "averaging_weight",
-    }
-    rows = [
-        [str(n), *(f"{getattr(stage, name):g}" for name in columns.values())]
-        for n, stage in enumerate(STAGES, 1)
-    ]
-    rows[-1][-1] += " V^2"
-    return markdown(["stage", *columns], rows)
-
-
 def plugin() -> str:
     """The example of a reader, which a test runs."""
     text = (ROOT / "tests/io/plugin_example.py").read_text()
@@ -515,6 +539,8 @@ FIGURES = (
     advice,
     paper,
     types,
+    prior,
+    aims,
     starts,
     depth,
     cameras,
@@ -523,9 +549,9 @@ FIGURES = (
     network,
     photos,
 )
-FIGURES += (machine, installation, objects, batches, scale, kernels, record_minutes, stages)
+FIGURES += (machine, installation, objects, batches, scale, kernels, record_minutes)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}
-FILLED |= {f"{name}_targets": partial(targets, name) for name in ("accuracy", "speed")}
+FILLED |= {f"{name}_aims_met": partial(aims_met, name) for name in ("accuracy", "speed")}
 
 
 def with_figures(text: str) -> str:

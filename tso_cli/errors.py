@@ -47,7 +47,6 @@ def is_interrupt(error: BaseException) -> bool:
 # Package -> what needs it, and the extra that installs it.
 EXTRAS = {
     "torch": ("networks need", "network"),
-    "safetensors": ("networks need", "network"),
     "matplotlib": ("charts need", "plots"),
     "open3d": ("rendering needs", "render"),
     "pycocotools": ("compressed run lengths of COCO need", "coco"),

@@ -130,7 +130,7 @@ def test_strict_writes_nothing_of_an_unsure_camera(folder, refine, tmp_path):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (("--steps", "11"), "11 steps are too few"),
+        (("--steps", "7"), "7 steps are too few"),
         (("--budget", "1e-6"), "1e-06 s were too few"),
         (("--depth", "depth.npy"), "a result with a depth map or a photo has none"),
     ],

@@ -23,12 +23,18 @@ def depth_map(folder, chair):
 
 
 def test_a_depth_map_takes_off_a_quarter_more_than_the_mask_alone(depth_map, chair, refine):
-    plain = ("initial.ply", "mask.png", "--symmetry", "none", "-o")
+    plain = ("initial.ply", "mask.png", "--symmetry", "none", "--prior", "none", "-o")
+    with_depth = ("--depth", "depth.png", "--depth-scale", "0.0001")
     refine(*plain, "mask.ply")
-    run = refine(*plain, "depth.ply", "--depth", "depth.png", "--depth-scale", "0.0001")
+    run = refine(*plain, "depth.ply", *with_depth)
     assert "--depth-scale" not in run.err
-    mask, depth = (chair.error(read_cloud(name).points) for name in ("mask.ply", "depth.ply"))
+    refine("initial.ply", "mask.png", *with_depth, "-o", "both.ply")
+    mask, depth, both = (
+        chair.error(read_cloud(f"{name}.ply").points) for name in ("mask", "depth", "both")
+    )
     assert depth < 0.75 * mask
+    # The learned prior, which sees no depth, is corrected by it.
+    assert both < depth
 
 
 def test_a_depth_map_in_another_unit_is_warned_of(depth_map, refine):

@@ -83,7 +83,8 @@ def test_warnings_of_reading_the_files_are_in_the_json(folder, refine):
 )
 def test_the_assumed_symmetry_is_printed(folder, refine, options, printed):
     run = refine("initial.ply", "mask.png", "--steps", "6", *options)
-    (used,) = re.findall(r"^  used   camera camera.json; (?:(.*); )?[\d.]+ s$", run.out, re.M)
+    used = r"^  used   camera camera.json; (?:learned prior \(.*?\); )?(?:(.*); )?[\d.]+ s$"
+    (used,) = re.findall(used, run.out, re.M)
     assert used == (printed or "")
 
 

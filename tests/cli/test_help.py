@@ -9,7 +9,7 @@ import pytest
 from tso_cli.cli import SECTIONS, with_options
 from tso_cli.cli import tso as root
 from tso_cli.commands.options import Warnings, Whole, listing
-from tso_cli.commands.train import BRIEF, DEFAULTS, EXAMPLE_DEFAULTS
+from tso_cli.commands.train import BRIEF, DEFAULTS, EXAMPLE_DEFAULTS, PRIOR_DEFAULTS
 
 PRODUCT = [name for heading, names in SECTIONS.items() if heading != "Research" for name in names]
 RESEARCH = list(SECTIONS["Research"])
@@ -101,8 +101,11 @@ def test_the_help_of_compile_says_where_work_runs_that_is_not_compiled(tso):
 
 def test_the_defaults_in_the_help_of_train_are_the_ones_used(tso):
     shown = " ".join(tso("train", "--help-all").out.split())
-    for name, value in DEFAULTS.items():
-        assert f"[default: {value:g}; {EXAMPLE_DEFAULTS[name]:g} without DATA]" in shown
+    for name, value in EXAMPLE_DEFAULTS.items():
+        assert f"[default: {DEFAULTS[name]:g}; {value:g} without DATA" in shown
+    for name, value in (("steps", 3000), ("batch_size", 64), ("output", "prior.safetensors")):
+        assert f"; {value} with --prior]" in shown
+        assert str(PRIOR_DEFAULTS[name]) == str(value)
 
 
 def test_the_options_that_train_shows_first_exist():

@@ -65,8 +65,11 @@ def test_a_box_is_stretched_to_a_wider_mask_further_than_its_corners_alone_and_s
     stretched, views
 ):
     size = np.ptp(stretched.points, axis=0) / np.ptp(CORNERS, axis=0)
-    assert 1.08 < size[0] < 1.2
-    assert (np.abs(size[1:] - 1.0) < 0.06).all()
+    # A pixel of the masks is a thirtieth of the width.
+    assert 1.08 < size[0] < 1.2 + 1 / 30
+    assert abs(size[1] - 1.0) < 0.06
+    # No mask shows the depth: the learned prior lets it grow along, less than the width.
+    assert 0.94 < size[2] < size[0]
     # Each corner lies where three sides of a box meet.
     sides = np.stack(
         [stretched.points[:, k].reshape(2, 2, 2).swapaxes(0, k).reshape(2, 4) for k in range(3)]

@@ -33,7 +33,8 @@ def shapes(split):
 @pytest.fixture(scope="module")
 def cars(builder, shapes):
     """The cases of the car, by kind."""
-    return {kind: builder.cases(shapes["car"], kind) for kind in ("other", "near", "cut")}
+    kinds = ("other", "turned", "near", "cut")
+    return {kind: builder.cases(shapes["car"], kind) for kind in kinds}
 
 
 def on_mask(case) -> float:
@@ -113,6 +114,26 @@ def test_the_whole_object_is_seen_unless_it_is_to_be_truncated(cars, shapes):
             assert border(view.mask)
             assert view.camera.t[2] == pytest.approx(0.75 * fitting_distance(vertices, view.camera))
         assert on_mask(case) > 0.99
+
+
+@pytest.mark.slow
+def test_a_turned_case_is_the_same_world_at_an_angle_to_its_axes(cars, builder, shapes):
+    for plain, turned in zip(cars["other"], cars["turned"], strict=True):
+        assert on_mask(turned) > 0.99
+        for one, other in zip(plain.views, turned.views, strict=True):
+            np.testing.assert_array_equal(one.mask, other.mask)
+            np.testing.assert_allclose(
+                one.camera.project(plain.initial)[0],
+                other.camera.project(turned.initial)[0],
+                atol=1e-9,
+            )
+        distances = [chamfer(case.initial, case.target).chamfer for case in (plain, turned)]
+        assert distances[0] == pytest.approx(distances[1])
+        # The axes of the cloud are not those of the world.
+        R = plain.views[0].camera.R.T @ turned.views[0].camera.R
+        assert np.abs(R).max() < 0.999
+    again = builder.cases(shapes["car"], "turned")[0]
+    np.testing.assert_array_equal(again.initial, cars["turned"][0].initial)
 
 
 @pytest.mark.slow

@@ -15,6 +15,8 @@ from tso_cli.lab.stability.knees import AXIS
 from tso_cli.lab.stability.runs import Outcome, Run, findings_of
 from tso_cli.lab.studies import confidence
 
+from .studying import MESHES
+
 CASE = SimpleNamespace(category="chair", shape="chair/a", kind="other", view=0)
 
 
@@ -76,3 +78,34 @@ def test_every_case_of_the_fit_has_the_levels_that_chance_would_bring_too_seldom
     learned = confidence.LEARNED.items()
     assert drawn[6:] == [(name, level) for name, levels in learned for level in levels]
     assert all(level in AXIS[name].levels for name, level in drawn[6:])
+
+
+class FakeBuilder:
+    """Cases that are names alone."""
+
+    def __init__(self, *settings):
+        pass
+
+    def cases(self, shape, kind):
+        names = {"category": shape.category, "shape": shape.name, "kind": kind}
+        return [SimpleNamespace(**names, view=view) for view in range(2)]
+
+
+def test_the_other_object_of_a_job_does_not_depend_on_the_jobs_before(split, monkeypatch):
+    monkeypatch.setattr(confidence, "CaseBuilder", FakeBuilder)
+    monkeypatch.setattr(confidence, "rows_of", list)
+    categories = ["airplane", "car", "chair"]
+    settings = {"categories": categories, "limit": None, "views": 2, "alterations": 1, "seed": 0}
+
+    def others(job):
+        return [(run.case.shape, run.other.shape, run.other.kind, run.other.view) for run in job()]
+
+    def jobs():
+        return confidence._jobs(MESHES, split, "test", settings)
+
+    in_order = {name: others(job) for name, job in jobs().items()}
+    before = [*in_order][-1]
+    for name, found in in_order.items():
+        assert {*found} == {(name, before, "other", 0)}
+        assert others(jobs()[name]) == found
+        before = name

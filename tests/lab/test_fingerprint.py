@@ -40,7 +40,7 @@ def faster_latent(preset, patch):
 
 CHANGES = {
     "points, best": lambda patch: patch.setitem(
-        vars(presets.BEST), "prior_weight", 0.8 * presets.BEST.prior_weight
+        vars(presets.BEST), "prior_weight", 0.3 * presets.BEST.prior_weight
     ),
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
     "network modes, paper": partial(faster_latent, "paper"),

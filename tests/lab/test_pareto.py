@@ -63,5 +63,5 @@ def test_sweeps_of_the_input_go_through_the_default():
     assert found["points"] == [counts[0], DEFAULT, *counts[1:]]
     assert found["masks"] == [DEFAULT, f"{DEFAULT}, 2 masks", f"{DEFAULT}, 4 masks"]
     assert found["budget"][-1] == DEFAULT
-    assert found[DEFAULT][0] == f"{DEFAULT}, 6 steps"
+    assert found[DEFAULT][0] == f"{DEFAULT}, 5 steps"
     assert found["alpha points"] == ["alpha points"]

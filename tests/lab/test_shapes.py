@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tso_cli.errors import InputError
-from tso_cli.lab.studies.shapes import see, shape_type, shapes_of_part, view_aligned_network
+from tso_cli.lab.studies.shapes import see, shapes_of_part, view_aligned_network
 from tso_cli.render import RenderSettings
 
 from .studying import MESHES, thin_checkpoint, write_split
@@ -60,11 +60,6 @@ def test_a_shape_is_seen_alike_whatever_else_is_studied(split):
     np.testing.assert_array_equal(alone.target, again.target)
     np.testing.assert_array_equal(alone.views[1].image, again.views[1].image)
     assert not np.array_equal(alone.views[1].image, other_seed.views[1].image)
-
-
-def test_variants_of_one_aeroplane_are_one_type():
-    assert shape_type("fg_767_763") == shape_type("fg_767_767") != shape_type("fg_777_77F")
-    assert shape_type("qreal_Cop") != shape_type("qreal_Cop_SUV")
 
 
 def test_a_network_of_another_frame_is_refused(tmp_path, monkeypatch):

@@ -16,7 +16,7 @@ def term(
     colours: np.ndarray, image: np.ndarray, start: np.ndarray, weight: float = 1.0, mask=MASK > 0.5
 ) -> PhotometricTerm:
     shown = np.where(mask[..., None], image, 0.0).astype(float)
-    return PhotometricTerm.at(Photo(shown, mask, CAMERA, weight), colours, start, 1.0)
+    return PhotometricTerm.at(Photo(shown, mask, CAMERA, weight), colours, start)
 
 
 def loss(points: np.ndarray, colours: np.ndarray, image: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from tests import oracles
 from tests.losses.common import FORMS, in_form
 from tests.scenes import block
 from tso_cli import Camera, RefineConfig, View, refine
-from tso_cli.optimisation.loop import minimise, offset_progress, sum_of
+from tso_cli.optimisation.loop import minimise, sum_of
 from tso_cli.optimisation.objective import SilhouetteObjective
 from tso_cli.optimisation.resampled_view import resample_view
 
@@ -38,9 +38,7 @@ def _square(points: np.ndarray) -> tuple[float, np.ndarray]:
 
 def test_the_best_iterate_is_kept_and_every_step_reported():
     reported, parameters = [], Iterates(1.0, 0.5, 0.1, 0.7)
-    optimised = minimise(
-        parameters, _square, 3, offset_progress(lambda *step: reported.append(step), 10, 99)
-    )
+    optimised = minimise(parameters, _square, 3, lambda *step: reported.append(step))
     losses = [_square(points)[0] for points in parameters.iterates]
     assert optimised.losses == losses
     assert optimised.best_step == 2
@@ -50,7 +48,7 @@ def test_the_best_iterate_is_kept_and_every_step_reported():
     assert optimised.best_loss == losses[2]
     np.testing.assert_array_equal(optimised.best, parameters.iterates[2])
     for number, (step, steps, loss, points) in enumerate(reported, 1):
-        assert (step, steps, loss) == (10 + number, 99, losses[number])
+        assert (step, steps, loss) == (number, 3, losses[number])
         np.testing.assert_array_equal(points, parameters.iterates[number])
     assert len(reported) == 3
 

@@ -349,7 +349,7 @@ def pages(tmp_path_factory):
     box = textured_box()
     (folder / "box.glb").write_bytes(box.export(file_type="glb"))
     records = []
-    points = np.asarray(trimesh.sample.sample_surface(box, 4000, seed=0)[0]) * 1.15
+    points = np.asarray(trimesh.sample.sample_surface(box, 4000, seed=0)[0]) * 1.1
     for number, degrees in enumerate((0.0, 70.0)):
         camera = turned(Camera.canonical(96, 96), degrees)
         view: View = seen(points, camera)

@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes import problem_of, seen, turned
+from tests.scenes import problem_of
 from tso_cli import RefineConfig, refine
 from tso_cli.optimisation.loop import Optimised
-from tso_cli.optimisation.optimise import steps_for, weigh
 from tso_cli.optimisation.symmetry import SymmetryCheck
 from tso_cli.refinement.decisions import decisions
 
 
-def _decided(problem, config=None, steps=48, done=None, **parts):
+def _decided(problem, config=None, steps=32, done=None, **parts):
     """Each decision by its name; the optimisation took ``done`` steps and had ``parts``."""
     settings = (config or RefineConfig()).settings(len(problem.given))
     losses = [1.0] * (1 + (steps if done is None else done))
@@ -41,14 +40,14 @@ def test_the_preset_paper_decides_nothing(chair):
 @pytest.mark.parametrize(
     ("config", "steps", "done", "parts", "reason"),
     [
-        (RefineConfig(), 48, 48, {}, "48 are enough for 1 mask"),
+        (RefineConfig(), 20, 20, {}, "20 are enough for 1 mask"),
         (RefineConfig(steps=9), 9, 9, {}, "as asked for"),
-        (RefineConfig(), 48, 0, {}, "no loss was left"),
-        (RefineConfig(), 48, 5, {"interrupted": True}, "interrupted"),
-        (RefineConfig(budget=2.0), 48, 5, {"out_of_time": True}, "2 s were over"),
+        (RefineConfig(), 20, 0, {}, "no loss was left"),
+        (RefineConfig(), 20, 5, {"interrupted": True}, "interrupted"),
+        (RefineConfig(budget=2.0), 20, 5, {"out_of_time": True}, "2 s were over"),
         (
             RefineConfig(),
-            48,
+            20,
             2,
             {"losses": [3.0, 2.0, 1.0, np.nan]},
             "the loss was not a number after them",
@@ -59,51 +58,7 @@ def test_why_the_steps_ended(chair, config, steps, done, parts, reason):
     decision = _decided(problem_of(chair.points, chair.view), config, steps, done, **parts)["steps"]
     assert decision.choice == str(done)
     assert decision.reason == reason
-    assert decision.saving == pytest.approx(1.0 - done / 96)
-
-
-def _views(chair, *sides):
-    """The true shape from several sides, in masks as wide as ``sides``."""
-    cameras = [
-        turned(chair.camera.resized(side, side), 50.0 * number) for number, side in enumerate(sides)
-    ]
-    return [seen(chair.target, camera) for camera in cameras]
-
-
-@pytest.mark.parametrize("symmetry", ["auto", "none"])
-@pytest.mark.parametrize(
-    ("sides", "start", "config", "steps"),
-    [
-        ([256, 256], "initial", RefineConfig(), 2 * 96),
-        ([256, 64], "initial", RefineConfig(), 96),
-        ([256, 256], "target", RefineConfig(), 96),
-        # Fewer points cannot follow the finest grid.
-        ([256, 256], "few", RefineConfig(), 96),
-        ([256], "initial", RefineConfig(), 48),
-        ([256, 256], "initial", RefineConfig(steps=96), 96),
-        ([256, 256], "initial", RefineConfig(preset="paper"), 50),
-    ],
-)
-def test_several_large_masks_that_the_start_fits_badly_take_twice_the_steps(
-    chair, symmetry, sides, start, config, steps
-):
-    points = {
-        "initial": chair.points,
-        "target": 1.02 * chair.target,
-        "few": chair.points[:400],
-    }[start]
-    views, settings = _views(chair, *sides), config.settings(len(sides))
-    problem = problem_of(points, *views, symmetry=symmetry)
-    assert steps_for(weigh(problem, settings), settings) == steps
-
-
-def test_a_refinement_takes_the_steps_that_were_decided(chair):
-    views = _views(chair, 256, 256)
-    result = refine(chair.points, views, config=RefineConfig(symmetry="none"))
-    assert result.fit.steps == result.settings.steps == 2 * 96
-    (steps,) = (decision for decision in result.cost.decisions if decision.what == "steps")
-    assert steps.reason == "the start fits 2 large masks badly"
-    assert steps.saving == 0.0
+    assert decision.saving == pytest.approx(1.0 - done / 20)
 
 
 def test_as_many_points_move_by_themselves_as_are_asked_for(chair):
@@ -139,15 +94,15 @@ def test_a_mesh_has_as_many_control_points_as_are_asked_for(chair):
 @pytest.mark.parametrize(
     ("symmetry", "outcome", "check", "choice", "saving"),
     [
-        ("none", None, None, "not used", 1.0 - 48 / 156),
-        ("x", None, None, "used", 1.0 - 96 / 156),
+        ("none", None, None, "not used", 1.0 - 32 / 124),
+        ("x", None, None, "used", 1.0 - 64 / 124),
         ("auto", "used", SymmetryCheck(1.0, 1.15), "checked, used", 0.0),
-        ("auto", "contradicted", SymmetryCheck(2.0, 1.15), "checked, not used", 48 / 156),
-        ("auto", "unchecked", None, "not used", 1.0 - 48 / 156),
+        ("auto", "contradicted", SymmetryCheck(2.0, 1.15), "checked, not used", 32 / 124),
+        ("auto", "unchecked", None, "not used", 1.0 - 32 / 124),
     ],
 )
 def test_the_work_that_a_mirror_plane_takes(chair, symmetry, outcome, check, choice, saving):
-    """The check takes 3 x 20 steps of one view, and flipped views double the optimisation's 48."""
+    """The check takes 3 x 20 steps of one view, and flipped views double the optimisation's 32."""
     problem = problem_of(chair.points, chair.view, symmetry=symmetry)
     if outcome:
         changed = replace(problem.symmetry, outcome=outcome, check=check)
@@ -164,6 +119,6 @@ def test_the_window_and_its_grid_save_pixels(chair):
     share = (min(right, 255.5) - max(left, -0.5)) * (min(bottom, 255.5) - max(top, -0.5)) / 256**2
     assert decided["window"].saving == pytest.approx(1.0 - share)
     assert decided["window"].choice == f"{share:.0%} of the masks"
-    # Before the last stage there are 64 cells a side, of at most 128.
-    assert decided["cells"].choice == "64x64 in the last stage"
+    # Before the optimisation there are 64 cells a side, of at most 128.
+    assert decided["cells"].choice == "64x64"
     assert decided["cells"].saving == pytest.approx(0.75)

@@ -19,9 +19,10 @@ def test_best_reduces_the_error_more_than_paper_and_still_more_with_a_mirror_pla
     )
     errors = np.array([shown.error(refine(*shown[:3], config).points) for config in configs])
     paper, alone, best = errors / shown.error(shown.points)
-    assert best < alone - 0.05
-    assert alone < paper - 0.05
-    assert best < 0.6
+    # The learned prior has brought a part of what the mirror plane brought alone.
+    assert best < alone - 0.01
+    assert alone < paper - 0.2
+    assert best < 0.4
 
 
 @NAMES

@@ -11,10 +11,12 @@ from tso_cli import Camera, RefineConfig, TsoError, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.diagnosis.examine import Diagnosis, examine
 from tso_cli.diagnosis.findings import Finding
+from tso_cli.optimisation.learned_start import beginning
 from tso_cli.optimisation.loop import Optimised
 from tso_cli.optimisation.optimise import optimise, weigh
 from tso_cli.optimisation.problem import prepare
 from tso_cli.optimisation.view_weights import ViewWeights
+from tso_cli.prior import named_prior
 from tso_cli.refinement.clock import Clock
 from tso_cli.refinement.judge import judge
 from tso_cli.refinement.run import run
@@ -43,6 +45,7 @@ def _square(middle, step=1.0):
 
 
 MASK = View(block(np.s_[20:44, 20:44]), Camera.canonical(64, 64), name="front")
+FORTY = RefineConfig(steps=40).settings()
 # One pixel to the right, in widths of the square.
 RIGHT = np.array([1.0, 0.0, 0.0]) / 24.0
 
@@ -100,6 +103,9 @@ def test_a_loss_that_is_never_a_number_is_an_error(losses, message):
         (dict(settings=RefineConfig(preset="paper").settings()), "mode"),
         (dict(settings=RefineConfig(mode="latent").settings()), "mode"),
         (dict(interrupted=True), "interrupted"),
+        # Half of the steps are too few, even if they are many.
+        (dict(settings=FORTY, losses=[1.0] * 20, interrupted=True), "interrupted"),
+        (dict(settings=FORTY, losses=[*[1.0] * 20, np.nan]), "steps"),
         (dict(out_of_time=True), "time"),
         (dict(symmetry="unchecked"), "time"),
         (dict(), "steps"),
@@ -129,7 +135,9 @@ def optimised(chair):
     cloud = Cloud(chair.points, "points").controlled()
     diagnosis = examine(cloud, [chair.view], [chair.view])
     weighed = weigh(prepare(cloud, [chair.view], settings), settings)
-    return weighed, settings, diagnosis, *optimise(weighed, settings, settings.steps)
+    prior = named_prior(settings.prior)
+    begin = beginning(weighed.problem, weighed.weights.loss, weighed.field, prior)
+    return weighed, settings, diagnosis, *optimise(weighed, settings, settings.steps, begin=begin)
 
 
 def _of(optimised, view, accept_doubtful=False, **changed):

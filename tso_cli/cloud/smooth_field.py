@@ -7,8 +7,9 @@ import numpy as np
 from ..geometry.arrays import Array, Bits, Indices
 from ..kernels.dispatch import use_compiled
 from ..losses.nearest import fast_spread_subset, nearest_few
-from .control_points import CONTROL_POINTS
 
+# Most nodes of a field, and the number that lambda is stated for. Twice as many are no better.
+NODES = 512
 # Neighbours of a node in the graph.
 NEIGHBOURS = 8
 # Nodes in the neighbourhood of a node, itself included.
@@ -34,17 +35,8 @@ class SmoothField:
     patches : [M, 12] the nearest nodes of each node, itself first.
     """
 
-    def __init__(
-        self, points: Array, nodes: int = CONTROL_POINTS, finer: SmoothField | None = None
-    ) -> None:
-        self._points = points
-        self._coarser: dict[int, SmoothField] = {}
-        # The first nodes of a finer field are the smaller subset, unless the finer field has all
-        # points, which are in their own order.
-        known = finer is not None and len(finer.nodes) < len(points)
-        self.nodes: Indices = (
-            finer.nodes[:nodes] if finer and known else fast_spread_subset(points, nodes)
-        )
+    def __init__(self, points: Array, nodes: int = NODES) -> None:
+        self.nodes: Indices = fast_spread_subset(points, nodes)
         positions = points[self.nodes]
         self.patches = _patches(positions)
         self._adjacent = _adjacent(self.patches)
@@ -56,21 +48,12 @@ class SmoothField:
             distance = np.sqrt(np.square(points[:, None] - positions[self._index]).sum(2))
             self._weight = falling_weights(distance)
 
-    def with_nodes(self, nodes: int) -> SmoothField:
-        """The field of the same points with ``nodes`` nodes, or this one if it has fewer."""
-        if nodes >= len(self.nodes):
-            return self
-        if nodes not in self._coarser:
-            self._coarser[nodes] = SmoothField(self._points, nodes, self)
-        return self._coarser[nodes]
-
     def smoothed(self, values: Array, weight: float) -> Array:
         """``(I + weight L)^-1 values``, [M, C]. The matrix is symmetric, so its own transpose."""
         if weight not in self._smoothers:
-            # Lambda is stated for CONTROL_POINTS nodes: between fewer nodes edges are longer.
-            self._smoothers[weight] = _Smoother(
-                self._adjacent, weight * len(self.nodes) / CONTROL_POINTS
-            )
+            # Between fewer nodes edges are longer.
+            smoother = _Smoother(self._adjacent, weight * len(self.nodes) / NODES)
+            self._smoothers[weight] = smoother
         return self._smoothers[weight](values)
 
     def spread(self, values: Array) -> Array:
@@ -106,23 +89,6 @@ class SmoothField:
     def of_nearest_node(self, values: Array) -> Array:
         """[N]: for each point the value [M] of its nearest node."""
         return values[self._index[:, 0]]
-
-    def averaged(self, values: Array, weight: float) -> Array:
-        """[N], ``values`` [N] averaged around each point.
-
-        The mean at a node is ``(I + weight L)^-1`` of the nodes' sums, divided by the smoothed
-        counts of the nodes. A point takes the mean at its nearest node.
-        """
-        owner = self._index[:, 0]
-        sums = np.stack(
-            [
-                np.bincount(owner, part, len(self.nodes)).astype(float)
-                for part in (values, np.ones_like(values))
-            ],
-            1,
-        )
-        total, count = self.smoothed(sums, weight).T
-        return self.of_nearest_node(total / np.maximum(count, np.finfo(float).tiny))
 
 
 def _patches(nodes: Array) -> Indices:

@@ -18,10 +18,9 @@ from ..errors import InputError
 from ..io.clouds import check_suffix, output_suffix
 from ..io.output import require_suffix
 from ..io.reading import plain, shown
-from ..io.shipped import DEFAULT
 from .batch_item import context_of, refine_command
 from .batch_page import INDEX, PICTURES
-from .options import FIT, FilePath
+from .options import WORDS, FilePath
 from .refine_files import SUFFIX_OF
 from .refine_record import OF_RUN, WRITTEN, parameter_of, record_of
 from .refine_run import check_options
@@ -34,8 +33,6 @@ OF_BATCH = {
 }  # fmt: skip
 PARAMETERS = {parameter.name: parameter for parameter in refine_command.params}
 SWITCHES = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
-# Words that stand in place of a file.
-NO_FILES = {"camera": str(FIT), "checkpoint": DEFAULT}
 # Options that name another file to write.
 FLAGS = tuple(f"--{name.replace('_', '-')}" for name in WRITTEN)
 # The order in which the columns become arguments.
@@ -176,10 +173,11 @@ def _arguments(
             values = [join(output, normpath(value)) for value in values]
             settings.append(splitext(values[0])[1])
         elif column.is_path:
-            word = NO_FILES.get(column.name)
-            settings += [splitext(values[0])[1] if column.name == "source" else "", word or ""]
+            known = WORDS.get(column.name, ())
+            word = values[0] if values[0] in known else ""
+            settings += [splitext(values[0])[1] if column.name == "source" else "", word]
             values = [
-                value if value == word or is_remote(value) else join(folder, value)
+                value if value in known or is_remote(value) else join(folder, value)
                 for value in values
             ]
         else:

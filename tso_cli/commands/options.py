@@ -21,6 +21,7 @@ import click
 
 from ..errors import InputError, TsoError
 from ..io.output import require_output as require_output
+from ..io.shipped import DEFAULT, LEARNED, NO_PRIOR
 
 T = TypeVar("T")
 CONTEXT: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -31,24 +32,26 @@ CONFIG = "tso.config"
 """Key of a context's ``meta``: the file of --config."""
 FIT = Path("fit")
 """What `--camera` takes instead of a file, to estimate the camera."""
+WORDS = {"camera": (str(FIT),), "checkpoint": (DEFAULT,), "prior": (LEARNED, NO_PRIOR)}
+"""Words that stand in place of a file, by the name of the option."""
 
 
 class FilePath(click.Path):
-    """A path as `pathlib.Path`; the readers check it, so their messages are the same everywhere."""
+    """A path as `pathlib.Path`; the readers check it, so their messages are the same everywhere.
 
-    def __init__(self) -> None:
+    words : that stand in place of a file. A file of that name, written ./fit, becomes absolute.
+    """
+
+    def __init__(self, *words: str) -> None:
         super().__init__(path_type=Path)
+        self.words = words
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        path = Path(str(super().convert(value, param, ctx)))
+        return path.absolute() if str(path) in self.words and str(value) != str(path) else path
 
 
 PATH = FilePath()
-
-
-class CameraPath(FilePath):
-    """A camera file, or ``FIT``. A file with that name, written ./fit, becomes absolute."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        path = super().convert(value, param, ctx)
-        return path.absolute() if path == FIT and str(value) != str(FIT) else path
 
 
 class AutoOrInteger(click.types.IntParamType):

@@ -73,6 +73,13 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     help="How much work to spend: `auto` (from the scene), or a limit in seconds.",
 )
 @click.option(
+    "--prior",
+    type=options.FilePath(*options.WORDS["prior"]),
+    metavar="learned|none|FILE",
+    help="The network that first moves the cloud to a likely shape: the shipped one, none, or a "
+    "file of tso train --prior.  [default: learned; paper and network modes: none]",
+)
+@click.option(
     "--points",
     type=options.AutoOrInteger(),
     metavar="auto|N",
@@ -88,13 +95,13 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--steps",
     type=options.Whole(0),
-    help="Optimiser steps; 0 writes the start.  [default: 48 for each mask, up to four masks; "
+    help="Optimiser steps; 0 writes the start.  [default: 20 for each mask, up to four masks; "
     "encoder modes 12, latent 30; paper 50]",
 )
 @click.option(
     "--learning-rate",
     type=float,
-    help="[default: 4e-2 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, "
+    help="[default: 3e-2 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, "
     "1e-6, 5e-6, 1e-3]",
 )
 @click.option(
@@ -110,7 +117,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 )
 @click.option(
     "--checkpoint",
-    type=PATH,
+    type=options.FilePath(*options.WORDS["checkpoint"]),
     help="File of tso train, or `default`, the shipped network.  [default: default]",
 )
 @click.option(
@@ -128,7 +135,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 )
 @click.option(
     "--camera",
-    type=options.CameraPath(),
+    type=options.FilePath(*options.WORDS["camera"]),
     help="Camera file or folder of tso or another program. `fit` estimates the camera of a single "
     "mask.  [default: MASKSTEM.camera.json, camera.json, cameras.json or transforms.json next to "
     "the mask, else a canonical camera]",

@@ -19,7 +19,7 @@ from ..io.shipped import DEFAULT, named_checkpoint
 from ..io.views import ViewFiles
 from ..refinement import RefineResult
 from ..scene.load import Placing, Scene, load_points_scene
-from .options import FIT, command_line, require_output
+from .options import FIT, WORDS, command_line, require_output
 
 if TYPE_CHECKING:
     from ..plots.recording import Iterates
@@ -58,6 +58,7 @@ class InputOptions:
     depth_scale: float | None
     image: tuple[Path, ...]
     checkpoint: Path | None
+    prior: Path | None
     frame: str | None
     place: Placing | None
 
@@ -170,7 +171,8 @@ class RefineInputs(InputOptions):
     def files(self) -> list[Path]:
         """All files that are read."""
         cameras = [self.camera] if self.camera else map(find_camera, self.masks)
-        known = [*([] if self.fit else cameras), self.intrinsics, self.checkpoint]
+        prior = None if str(self.prior) in WORDS["prior"] else self.prior
+        known = [*([] if self.fit else cameras), self.intrinsics, self.checkpoint, prior]
         given = [path for path in known if path is not None]
         return [self.source, *self.masks, *given, *self.ignore, *self.depth, *self.image]
 

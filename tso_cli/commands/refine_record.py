@@ -67,11 +67,17 @@ def digest_of(path: Path) -> str:
 def key_of(given: Mapping[str, Any], digests: Iterable[str]) -> str:
     """What no other run has: the version, the options given, and the files' contents."""
     settings = {
-        name: value for name, value in sorted(given.items())
-        if name not in OF_OUTPUT and not _has_path(value)
+        name: str(value) if _is_word(name, value) else value
+        for name, value in sorted(given.items())
+        if name not in OF_OUTPUT and (_is_word(name, value) or not _has_path(value))
     }  # fmt: skip
     text = json.dumps([__version__, settings, list(digests)], default=str)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _is_word(name: str, value: Any) -> bool:
+    """Whether an option has a word in place of a file."""
+    return str(value) in options.WORDS.get(name, ())
 
 
 def _has_path(value: Any) -> bool:
@@ -86,11 +92,13 @@ def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     def stored(value: Any) -> Any:
         if isinstance(value, (tuple, list)):
             return [stored(one) for one in value]
-        if not isinstance(value, Path) or value == options.FIT:
-            return str(value) if isinstance(value, Path) else value
-        return relative(value, folder)
+        return relative(value, folder) if isinstance(value, Path) else value
 
-    return {name: stored(value) for name, value in given.items() if name not in OF_RUN}
+    return {
+        name: str(value) if _is_word(name, value) else stored(value)
+        for name, value in given.items()
+        if name not in OF_RUN
+    }
 
 
 def relative(path: Path, folder: Path) -> str:
@@ -268,7 +276,7 @@ def in_folder(value: Any, parameter: click.Parameter, folder: Path) -> Any:
     """``value`` with paths that are relative to ``folder``, if the parameter takes paths."""
     if isinstance(value, (list, tuple)):
         return [in_folder(one, parameter, folder) for one in value]
-    is_path = isinstance(parameter.type, options.FilePath) and isinstance(value, str)
-    if not is_path or "://" in value or Path(value) in (options.FIT, Path("default")):
+    kind = parameter.type
+    if not isinstance(kind, options.FilePath) or not isinstance(value, str):
         return value
-    return str(folder / value)
+    return value if "://" in value or value in kind.words else str(folder / value)

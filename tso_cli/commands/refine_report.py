@@ -13,6 +13,7 @@ from ..evaluation.footprint import IOU_MEANS
 from ..geometry.camera import Camera
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
+from ..io.shipped import LEARNED, NO_PRIOR
 from ..optimisation.camera_correction import MISFIT_LEFT
 from ..refinement.decisions import document_of
 from ..refinement.judge import CONTRADICTED_WEIGHT
@@ -42,6 +43,9 @@ CONVENTION = {
     "the default preset in points mode",
     "step_taken": "share of the displacement that was taken: under 1 where the result is doubtful, "
     "0 where nothing moved",
+    "prior": "learned: the one that comes with the program",
+    "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
+    "optimisation and before `step_taken`, as a share of the object's size",
     "saving": "share of the work that was saved: of the masks' pixels, the finest grid's cells, "
     "the points, the steps, the work that a mirror plane takes",
     "weight": "of a view in the loss: its trust, divided among the views that show the same",
@@ -59,7 +63,10 @@ def objective_of(result: RefineResult) -> str:
     chamfer = f"{settings.gamma:g} x Chamfer to the start"
     if settings.preset == "paper":
         return f"BCE + {chamfer}"
-    return "mask Chamfer loss + position prior" + (f" + {chamfer}" if settings.gamma else "")
+    of_points = "mask Chamfer loss" + (f" + {chamfer}" if settings.gamma else "")
+    if settings.smooth:
+        return f"{of_points}; after each step, the position prior as well"
+    return f"{of_points} + position prior"
 
 
 @dataclass(frozen=True)
@@ -96,6 +103,7 @@ class RefineReport:
             "learning_rate": settings.learning_rate,
             "gamma": settings.gamma,
             "sigma_sq": settings.sigma_sq,
+            "prior": settings.prior,
             "symmetry": result.symmetry.coefficients,
             "symmetry_outcome": result.symmetry.outcome,
             "symmetry_reason": result.symmetry.reason,
@@ -217,6 +225,7 @@ class RefineReport:
         parts = [
             self.inputs.network,
             self._cameras(),
+            self._prior(),
             self._symmetry(),
             self._discounted(),
             f"{self.seconds['total']:.1f} s",
@@ -276,6 +285,13 @@ class RefineReport:
         turned = f"turned by {degrees:.1f} degrees"
         return f"{summary}, corrected: {turned}, shifted by {100.0 * shift:.1f} % of its distance"
 
+    def _prior(self) -> str | None:
+        prior, share = self.result.settings.prior, self.result.fit.moved_by_prior
+        if prior == NO_PRIOR or not self.result.fit.steps:
+            return None
+        name = "learned prior" if prior == LEARNED else f"prior {prior}"
+        return f"{name} (moved {f'{100.0 * share:.1f} %' if share else 'nothing'})"
+
     def _symmetry(self) -> str | None:
         if not self.result.fit.steps:
             return None
@@ -288,7 +304,7 @@ class RefineReport:
             "unchecked": "no mirror symmetry assumed: the budget left no time to check it",
             # Only the default preset in points mode assumes symmetry by default.
             "not_asked": "no mirror symmetry assumed, as asked"
-            if self.result.settings.staged
+            if self.result.settings.smooth
             else None,
         }[self.result.symmetry.outcome]
 
@@ -302,8 +318,8 @@ class RefineReport:
         """Every measure and setting."""
         result, fit, settings = self.result, self.result.fit, self.result.settings
         best = f"best at step {fit.best_step}"
-        if settings.staged and fit.best_step:
-            best = f"the mean over the stages, the last one's {best}"
+        if fit.outcome == "moved" and not fit.best_step:
+            best = "best as the learned prior moved it"
         click.echo(f"  steps  {fit.steps}, {best}; ended: {fit.stop_reason}")
         loss = f"{fit.loss_before:.1f} -> {fit.loss_after:.1f}"
         click.echo(f"  loss   {loss}   ({objective_of(result)})")

@@ -39,7 +39,7 @@ def check_options(chosen: Mapping[str, Any], strict: bool) -> None:
                 "which places its cloud before the camera itself"
             )
     config = options.pick(RefineConfig, chosen)
-    if strict and not config.settings().staged:
+    if strict and not config.settings().smooth:
         raise InputError(
             "--strict is for results with a confidence, of --mode points --preset best, found "
             f"--mode {config.mode} --preset {config.preset}"

@@ -1,9 +1,10 @@
-"""`tso train`: train the network that predicts a cloud from a photo."""
+"""`tso train`: train the network that predicts a cloud from a photo, or a learned prior."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ import click
 from ..errors import InputError
 from . import options
 from .options import PATH, choice, flag, option, output
+from .train_outputs import TrainOutputs
+from .train_prior import PRIOR_DEFAULTS, check_prior, train_prior
 
 if TYPE_CHECKING:
     from ..network.model import NetworkConfig
@@ -19,7 +22,10 @@ if TYPE_CHECKING:
     from ..train.data import TrainingData
     from ..train.state import TrainingState
 
-DEFAULTS = {"steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0}
+DEFAULTS: dict[str, Any] = {
+    "steps": 20_000, "learning_rate": 5e-5, "averaging": 0.0, "batch_size": 16,
+    "output": Path("base.safetensors"),
+}  # fmt: skip
 # Without DATA: about two minutes on two cores, with a rate that suits 600 steps (both measured).
 EXAMPLE_DEFAULTS = {"steps": 600, "learning_rate": 3e-4, "averaging": 0.99}
 # Option -> the only supervisions that use it.
@@ -31,20 +37,28 @@ SERVES = {
     "views": ("masks",),
 }
 HEADINGS = {
-    "split_file": "Data", "crop_share": "Input pictures", "supervision": "Supervision",
-    "affinity_weight": "Losses", "points": "Network", "steps": "Optimisation", "output": "Output",
-    "device": "Running",
+    "split_file": "Data", "prior": "Prior of shapes", "crop_share": "Input pictures",
+    "supervision": "Supervision", "affinity_weight": "Losses", "points": "Network",
+    "steps": "Optimisation", "output": "Output", "device": "Running",
 }  # fmt: skip
 # The options that --help shows.
 BRIEF = (
-    "split_file", "categories", "augment", "supervision", "initial", "steps", "batch_size",
-    "output", "overwrite", "resume", "log_file", "as_json", "device",
+    "split_file", "categories", "prior", "without", "augment", "supervision", "initial",
+    "steps", "batch_size", "output", "overwrite", "resume", "log_file", "as_json", "device",
 )  # fmt: skip
 
 
 def _default(name: str) -> str:
-    """The defaults of an option that has another one without DATA, for its help."""
-    return f"[default: {DEFAULTS[name]:g}; {EXAMPLE_DEFAULTS[name]:g} without DATA]"
+    """The defaults of an option that has others without DATA or with --prior, for its help."""
+    shown = [_shown(DEFAULTS[name])]
+    for values, when in ((EXAMPLE_DEFAULTS, "without DATA"), (PRIOR_DEFAULTS, "with --prior")):
+        if name in values:
+            shown.append(f"{_shown(values[name])} {when}")
+    return f"[default: {'; '.join(shown)}]"
+
+
+def _shown(value: Any) -> str:
+    return str(value) if isinstance(value, Path) else f"{value:g}"
 
 
 class CategoryValue(click.ParamType):
@@ -64,45 +78,6 @@ class CategoryValue(click.ParamType):
             )
 
 
-@dataclass
-class TrainOutputs:
-    """The files that a training writes, and whether it continues an earlier training."""
-
-    output: Path
-    log_file: Path | None
-    resume: bool
-    overwrite: bool
-
-    def check(self) -> None:
-        """InputError for an output that cannot be written."""
-        from ..io.output import check_output
-        from ..train.state import state_path
-
-        replace_files, state = self.overwrite or self.resume, state_path(self.output)
-        options.require_output(self.output, ".safetensors", replace_files)
-        check_output(state, replace_files)
-        if self.log_file is not None:
-            check_output(self.log_file, replace_files)
-            if self.log_file.resolve() in (self.output.resolve(), state.resolve()):
-                raise InputError(
-                    f"--log-file {self.log_file}: is the checkpoint or its state, "
-                    "expected a file of its own"
-                )
-
-    def save(self, state: TrainingState, config: NetworkConfig) -> None:
-        """Write checkpoint, state and log.
-
-        The first call raises InputError if one of the files has appeared since `check`.
-        """
-        from ..train.state import save_training, write_history
-
-        self.check()
-        save_training(self.output, state, config, self.overwrite or self.resume)
-        if self.log_file is not None:
-            write_history(self.log_file, state.history, config, self.overwrite or self.resume)
-        self.overwrite = True  # from now on the files are our own
-
-
 @click.command("train", cls=options.Command, headings=HEADINGS, brief=BRIEF)
 @click.argument("data", required=False, type=PATH)
 @option(
@@ -120,6 +95,27 @@ class TrainOutputs:
 )
 @flag("--strict", "Stop at the first unusable file instead of skipping it.")
 @flag("--balance", "Draw every category equally often, however many objects it has.")
+@option(
+    "--prior",
+    "Train a learned prior in place of the network, from the meshes FOLDER/CATEGORY/NAME.",
+    type=PATH,
+    metavar="FOLDER",
+)
+@option("--scenes", "Scenes to draw before the training of a prior; 1,000 take 15 s.", default=8000)
+@option(
+    "--without",
+    "Leave out this category of --prior. May be repeated.",
+    multiple=True,
+    metavar="NAME",
+)
+@option(
+    "--predicted-by",
+    "Let some starts of --prior be predictions of this network, or of the shipped one (`default`), "
+    "from pictures of the meshes.",
+    type=options.FilePath(*options.WORDS["checkpoint"]),
+    metavar="default|CHECKPOINT",
+)
+@option("--predictions", "Most predictions of --predicted-by; 100 take 10 s.", default=1600)
 @option(
     "--crop-share",
     "Crop each picture so that the object's longer side takes this share of it, and scale "
@@ -183,13 +179,13 @@ class TrainOutputs:
 )
 @option(
     "--init",
-    "Start from the weights of this checkpoint, or of the shipped one (`default`).  "
+    "Start from the weights of this checkpoint or prior, or of the shipped one (`default`).  "
     "[default: random weights]",
     "initial",
     type=PATH,
 )
 @option("--steps", f"Optimiser steps in all.  {_default('steps')}", type=int)
-@option("--batch-size", "Objects in a step.", default=16)
+@option("--batch-size", f"Objects in a step.  {_default('batch_size')}", type=int)
 @option("--learning-rate", f"Learning rate of Adam.  {_default('learning_rate')}", type=float)
 @option(
     "--averaging",
@@ -203,7 +199,7 @@ class TrainOutputs:
     "float32",
     "bfloat16",
 )
-@output("Checkpoint to write (.safetensors).", default=Path("base.safetensors"))
+@output(f"Checkpoint or prior to write (.safetensors).  {_default('output')}")
 @options.overwrite
 @option(
     "--checkpoint-every",
@@ -228,8 +224,15 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     The state of the training is stored next to the checkpoint, as NAME.training.safetensors, for
     --resume. Ctrl-C finishes the current step and writes both files.
 
-    To train with several processes: torchrun --nproc-per-node N -m tso_cli train ...
+    With --prior FOLDER it trains the prior that moves a cloud to a likely shape before
+    `tso refine` optimises it.
+
+    To train the network with several processes: torchrun --nproc-per-node N -m tso_cli train ...
     """
+    check_prior(ctx)
+    if chosen["prior"] is not None:
+        train_prior(ctx, as_json, chosen)
+        return
     from ..train import TrainConfig, train
     from ..train.processes import joined
     from ..train.speed import images_per_second
@@ -237,12 +240,12 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     from .train_report import print_summary, training_document, unusable
     from .training_data import DataSelection, load
 
-    started = time.perf_counter()
-    outputs, on_examples = options.pick(TrainOutputs, chosen), chosen["data"] is None
+    started, on_examples = time.perf_counter(), chosen["data"] is None
+    for name, value in (DEFAULTS | (EXAMPLE_DEFAULTS if on_examples else {})).items():
+        chosen[name] = value if chosen[name] is None else chosen[name]
+    outputs = options.pick(TrainOutputs, chosen)
     if outputs.resume and chosen["saturation_steps"] is None:
         chosen["saturation_steps"] = stored_window(outputs.output)
-    for name, value in (EXAMPLE_DEFAULTS if on_examples else DEFAULTS).items():
-        chosen[name] = value if chosen[name] is None else chosen[name]
     chosen["category_sigma_sq"] = dict(chosen["category_sigma_sq"])
     with joined(chosen["device"]) as (processes, chosen["device"]):
         config = options.pick(TrainConfig, chosen)
@@ -267,7 +270,7 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         prepared, first_step = time.perf_counter(), state.step
         bar, saves = (
             options.ProgressBar("train"),
-            {"save": outputs.save, "save_every": chosen["checkpoint_every"]},
+            {"save": partial(_save, outputs), "save_every": chosen["checkpoint_every"]},
         )
         with options.naming(outputs.output):
             result = train(
@@ -305,6 +308,16 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
             "its state were written. Run the same command with --resume to continue"
         )
         ctx.exit(130)
+
+
+def _save(outputs: TrainOutputs, state: TrainingState, config: NetworkConfig) -> None:
+    """Write checkpoint, state and log."""
+    from ..train.state import save_training, write_history
+
+    outputs.save(
+        lambda path, overwrite: save_training(path, state, config, overwrite),
+        lambda path, overwrite: write_history(path, state.history, config, overwrite),
+    )
 
 
 def _check_supervision(ctx: click.Context, supervision: str, mask_data: Path | None) -> None:

@@ -1,8 +1,7 @@
 """Whether a result can be trusted: the features of a refinement, and the confidence they leave.
 
 A rising IoU is no proof: where camera or mask are wrong it rises while the cloud gets worse. How
-the points moved says more. A wrong camera moves them as one body; a wrong mask moves them far, or
-differently from stage to stage.
+the points moved says more. A wrong camera moves them as one body; a wrong mask moves them far.
 """
 
 from __future__ import annotations
@@ -21,10 +20,11 @@ from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array, Bits
 from ..geometry.camera import Camera
 from ..losses.projection import pixels_under, project_differentiably
+from ..optimisation.learned_start import Beginning
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
-from ..optimisation.presets import STAGES
-from ..optimisation.prior import START_ROBUST_SCALE
+from ..optimisation.position_prior import START_ROBUST_SCALE
+from ..optimisation.presets import BEST
 from ..optimisation.problem import Problem
 from .examine import Diagnosis
 from .placement import place
@@ -50,7 +50,7 @@ REASONS = {
     "camera": "the points moved as one body, as a wrong camera would move them; is the camera "
     "right?",
     "motion": "the points moved far, or without their neighbours",
-    "stages": "the coarse and the fine stages of the optimisation disagree",
+    "prior": "the learned prior is unsure of this object",
     "misfit": "cloud and mask agree too little, before or after",
     "input": "the silhouettes differ in a way that another camera or mask might explain",
     "symmetry": "the mask and its mirror image contradict each other more than a right camera "
@@ -61,8 +61,8 @@ FINDING = "finding"
 """The reason of a result that is doubtful because of a suspicious finding."""
 # Added to a value before its logarithm is taken.
 SMALLEST = 1e-3
-# Motion is rough if a field of this smoothness does not have it. The last stage has its factors.
-SMOOTHNESS = STAGES[-1].smoothness
+# Motion is rough if a field of this smoothness does not have it. The optimisation has its factors.
+SMOOTHNESS = BEST.smoothness
 # A standardised feature beyond this is clipped, and so is a ratio of losses.
 MOST_DEVIATIONS, MOST_LOSS_RATIO = 4.0, 5.0
 
@@ -148,16 +148,19 @@ def features_of(
 ) -> dict[str, float]:
     """What the confidence is computed from, named GROUP: FEATURE.
 
-    ``problem`` has its last windows; ``field`` is of the start; ``ious`` [V] before and after, and
-    ``inlier_weights`` [V] are of the given views.
+    ``problem`` has the windows of the optimisation; ``field`` is of the start. ``ious`` [V] before
+    and after, and ``inlier_weights`` [V], are of the given views.
     """
     start, best = problem.cloud.start, optimised.best
+    begun = optimised.begun
+    assert begun is not None, "a confidence is of a displacement field"
     views = len(problem.given)
     truncated = all(windowed.resampled.target.truncated for windowed in problem.given)
     return {
         **_motion(problem, field, start, best),
         **_rigidity(start, best),
-        **_disagreement_of_stages(optimised.stages),
+        **_of_prior(start, begun),
+        "motion: after the prior": _log(_apart(begun.points, best)),
         **_misfit(problem, start, best, ious),
         **_input(problem, diagnosis),
         "input: truncated": float(truncated),
@@ -166,6 +169,17 @@ def features_of(
         "symmetry: loss ratio": _loss_ratio(problem),
         "views: number": _log(views),
         "views: inlier weight": min(inlier_weights),
+    }
+
+
+def _of_prior(start: Array, begun: Beginning) -> dict[str, float]:
+    """What the learned prior said of the start; nothing where it gave no answer."""
+    if begun.asked is None or begun.sureness is None:
+        return {}
+    return {
+        "motion: by the prior": _log(_apart(start, begun.points)),
+        "prior: asked": _log(begun.asked),
+        "prior: sureness": begun.sureness,
     }
 
 
@@ -207,11 +221,9 @@ def _rigidity(start: Array, best: Array) -> dict[str, float]:
     }
 
 
-def _disagreement_of_stages(stages: Sequence[Array]) -> dict[str, float]:
-    return {
-        f"stages: {i + 1} to {j + 1}": _log(np.sqrt(np.square(stages[j] - stages[i]).sum(1).mean()))
-        for i, j in ((0, 1), (0, 2), (1, 2))
-    }
+def _apart(one: Array, other: Array) -> float:
+    """The root mean square distance of the points of two clouds [N, 3]."""
+    return float(np.sqrt(np.square(other - one).sum(1).mean()))
 
 
 def _misfit(
@@ -275,10 +287,12 @@ def _model() -> tuple[list[str], tuple[Array, ...]]:
 def confidence_of(features: dict[str, float]) -> tuple[float, str]:
     """The confidence, and the group of features that lowers it most.
 
-    Without the features of that group (at their means) the confidence would be highest.
+    Without the features of that group (at their means) the confidence would be highest. Features
+    that are not known are at their means too.
     """
     names, (mean, deviation, hidden, offset, output) = _model()
-    standard = (np.array([features[name] for name in names]) - mean) / deviation
+    values = [features.get(name, of_mean) for name, of_mean in zip(names, mean, strict=True)]
+    standard = (np.array(values) - mean) / deviation
     standard = np.clip(standard, -MOST_DEVIATIONS, MOST_DEVIATIONS)
     groups = np.array([name.split(":")[0] for name in names])
     rows = np.stack([standard, *(np.where(groups == group, 0.0, standard) for group in REASONS)])

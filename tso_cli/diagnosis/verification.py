@@ -42,7 +42,7 @@ def verify_hypothesis(
     KeyboardInterrupt where Ctrl-C ended an optimisation.
     """
     weak = diagnosis.weak
-    if weak is None or not (settings.staged and settings.steps and problem.masks_alone):
+    if weak is None or not (settings.smooth and settings.steps and problem.masks_alone):
         return diagnosis
     start = problem.cloud.start
     weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start).loss

@@ -66,14 +66,22 @@ def save_tensors(
     overwrite: bool = False,
 ) -> None:
     """Write network tensors, ``training.*`` tensors and the training ``state`` (JSON) to a file."""
+    about = {"config": dataclasses.asdict(config), **({"training": state} if state else {})}
+    write_tensors(path, tensors, FORMAT, about, overwrite)
+
+
+def write_tensors(
+    path: Path,
+    tensors: dict[str, Tensor],
+    file_format: str,
+    about: dict[str, Any],
+    overwrite: bool = False,
+) -> None:
+    """Write tensors, and ``about`` (JSON) as the metadata of a file of this format."""
     from safetensors.torch import save
 
-    about = {
-        "format": FORMAT,
-        "config": dataclasses.asdict(config),
-        **({"training": state} if state else {}),
-    }
-    metadata = {METADATA_KEY: json.dumps(about, sort_keys=True, allow_nan=False)}
+    document = {"format": file_format, **about}
+    metadata = {METADATA_KEY: json.dumps(document, sort_keys=True, allow_nan=False)}
     # save_file would make the file readable only for its owner.
     data = save(
         {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}, metadata
@@ -94,7 +102,7 @@ def load_network(path: Path) -> tuple[BaseNetwork, NetworkConfig]:
     with torch.device("meta"):  # takes no memory: the file is checked first
         network = BaseNetwork(Encoder(), Decoder(config.points))
     expected = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
-    tensors = _read_tensors(path, expected, lambda name: not name.startswith(STATE_PREFIX))
+    tensors = read_tensors(path, expected, lambda name: not name.startswith(STATE_PREFIX))
     network.load_state_dict(
         {name: tensors[name].to(torch.float32) for name in expected}, assign=True
     )
@@ -109,12 +117,30 @@ def load_state(path: Path, expected: dict[str, tuple[int, ...]]) -> dict[str, Te
     Raises InputError if names or shapes differ from ``expected``.
     """
     state = {STATE_PREFIX + name: shape for name, shape in expected.items()}
-    tensors = _read_tensors(path, state, lambda name: name.startswith(STATE_PREFIX))
+    tensors = read_tensors(path, state, lambda name: name.startswith(STATE_PREFIX))
     return {name.removeprefix(STATE_PREFIX): tensor for name, tensor in tensors.items()}
 
 
 def read_metadata(path: Path) -> tuple[NetworkConfig, dict[str, Any]]:
     """The configuration in a checkpoint, and the training state in it (empty if there is none)."""
+    about = read_about(path, FORMAT)
+    for key in ("config", "training"):
+        if not isinstance(about.get(key, {}), dict):
+            raise InputError(
+                f"{path}: {key!r} in the metadata is {shown(about[key])}, expected a JSON object"
+            )
+    if "config" not in about:
+        raise InputError(
+            f"{path}: the metadata has no 'config', expected the network's configuration"
+        )
+    return _config(path, about["config"]), about.get("training", {})
+
+
+def read_about(path: Path, file_format: str) -> dict[str, Any]:
+    """The metadata (JSON) of a file of this format, as `write_tensors` writes it.
+
+    Raises InputError if the file has another format or is damaged.
+    """
     from safetensors import SafetensorError, safe_open
 
     _refuse_other_files(path)
@@ -135,21 +161,12 @@ def read_metadata(path: Path) -> tuple[NetworkConfig, dict[str, Any]]:
             f"{path}: the metadata is {shown(metadata[METADATA_KEY])}, expected JSON"
         ) from None
     version = about.get("format") if isinstance(about, dict) else about
-    if version != FORMAT:
+    if not isinstance(about, dict) or version != file_format:
         raise InputError(
             f"{path}: the format in the metadata is {shown(version)}, "
-            f"expected {FORMAT!r} (as tso train writes it)"
+            f"expected {file_format!r} (as tso train writes it)"
         )
-    for key in ("config", "training"):
-        if not isinstance(about.get(key, {}), dict):
-            raise InputError(
-                f"{path}: {key!r} in the metadata is {shown(about[key])}, expected a JSON object"
-            )
-    if "config" not in about:
-        raise InputError(
-            f"{path}: the metadata has no 'config', expected the network's configuration"
-        )
-    return _config(path, about["config"]), about.get("training", {})
+    return about
 
 
 def _refuse_other_files(path: Path) -> None:
@@ -215,10 +232,15 @@ def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
     return NetworkConfig(**values)
 
 
-def _read_tensors(
-    path: Path, expected: dict[str, tuple[int, ...]], belongs: Callable[[str], bool]
+def read_tensors(
+    path: Path,
+    expected: dict[str, tuple[int, ...]],
+    belongs: Callable[[str], bool] = lambda name: True,
 ) -> dict[str, Tensor]:
-    """The tensors of ``path`` whose names ``belong``, once names, shapes and values are checked."""
+    """The tensors of ``path`` whose names ``belong``, once names, shapes and values are checked.
+
+    Raises InputError if names or shapes differ from ``expected``, or a number is not finite.
+    """
     import torch
     from safetensors import SafetensorError, safe_open
 

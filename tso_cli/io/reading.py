@@ -5,6 +5,7 @@ What cannot be read is an InputError with one line that says why. Nothing is unp
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import math
@@ -220,3 +221,11 @@ class TextTable:
                     f"{self.path}: line {line} has {text}, expected a number such as 0.5 or 1e-3"
                 ) from None
         return values.reshape(words.shape)
+
+
+def name_of(path: Path, expected: str) -> str:
+    """The name of a file and the digest of its bytes, which say later which file it was.
+
+    Raises InputError as `read_bytes`.
+    """
+    return f"{path.name}, {hashlib.sha256(read_bytes(path, expected)).hexdigest()[:16]}"

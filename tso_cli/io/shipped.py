@@ -8,8 +8,12 @@ from ..errors import InputError
 
 CATEGORIES = ("chair", "car", "airplane")
 DEFAULT = "default"  # name of the network that comes with the program, as in `--checkpoint default`
+# Words that stand in place of the file of a learned prior: the one that comes with the program, and
+# that none is used.
+LEARNED, NO_PRIOR = "learned", "none"
 PACKAGE = Path(__file__).resolve().parent.parent
 WEIGHTS = PACKAGE / "weights"
+DEFAULT_PRIOR = WEIGHTS / "prior.safetensors"
 
 
 def examples_folder() -> Path:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..io.shipped import LEARNED
+
 
 @dataclass(frozen=True)
 class Option:
@@ -41,6 +43,9 @@ MESHES = Option(
 )
 SPLIT = Option("--split", "JSON file or folder of lists.  [default: the shipped network's]", Path)
 CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
+PRIOR = Option(
+    "--prior", "Learned prior: learned, none, or a file of tso train --prior.", Path, Path(LEARNED)
+)
 LIMIT = Option("--limit", "At most N shapes of each category.", int, least=1)
 SEED = Option("--seed", "Seed of everything random.", int, 0, least=0, most=2**63 - 1)
 COMMON = (MESHES, SPLIT, LIMIT, SEED)

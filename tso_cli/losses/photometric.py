@@ -20,6 +20,8 @@ OCCLUSION_DEPTH = 0.015
 COLOUR_ROBUST_SCALE = 0.1
 # Weight of the loss: squared pixels of a mask of 64 per unit of squared colour.
 COLOUR_WEIGHT = 3000.0
+# Standard deviation of the fine blur, px of a mask of 64.
+BLUR = 0.5
 # Detail is what a blur of this many times the fine blur removes: light changes slowly across an
 # object, and paint changes fast.
 COARSE_BLUR = 4.0
@@ -42,14 +44,14 @@ class Photo:
 class PhotometricTerm:
     """Moves visible points of a cloud to where a photo has their colours.
 
-    Photo and cloud are compared by their detail: a Gaussian blur of standard deviation ``blur``,
+    Photo and cloud are compared by their detail: a Gaussian blur of standard deviation `BLUR`,
     minus a blur of four times this standard deviation. A visible point costs ``3000 a rho(c)``:
 
     1. c is the detail of the point minus the detail of the photo where the point projects,
        interpolated bilinearly. The exposure of each channel is estimated and removed.
     2. ``rho(c) = c^2 s^2 / (s^2 + c^2)`` with s = 0.1 (Geman and McClure).
-    3. a is the correlation of the two details at the start of the stage, because a photo of other
-       paint says nothing.
+    3. a is the correlation of the two details where the optimisation begins, because a photo of
+       other paint says nothing.
 
     Visibility is computed at every call and has no gradient.
     """
@@ -61,14 +63,13 @@ class PhotometricTerm:
     agreement: float  # correlation of the two details, at least 0
 
     @classmethod
-    def at(cls, photo: Photo, colours: Array, points: Array, blur: float) -> PhotometricTerm:
-        """The term of a stage that starts at ``points`` [N, 3] with ``colours`` [N, 3] in [0, 1].
+    def at(cls, photo: Photo, colours: Array, points: Array) -> PhotometricTerm:
+        """The term of points that begin at ``points`` [N, 3] with ``colours`` [N, 3] in [0, 1].
 
-        ``blur`` is a standard deviation, px of a mask of 64. The cloud is blurred as an image of
-        its visible points.
+        The cloud is blurred as an image of its visible points.
         """
         height, width = photo.inside.shape
-        sigma = blur * max(height, width) / REFERENCE_SIDE
+        sigma = BLUR * max(height, width) / REFERENCE_SIDE
         detail = _detail(photo.image, photo.inside.astype(float), sigma)
         projected, visible = _visible(points, photo)
         place, _ = pixels_under(projected.points_px, visible, height, width)

@@ -1,1 +1,1 @@
-"""The method: objective, prior, stages, mirror plane, view weights; one loop for all variants."""
+"""The method: objective, prior, displacement field, mirror plane, view weights."""

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
 
 from ..cloud.smooth_field import SmoothField
-from .presets import BEST_POINTS, COMPARISON, COMPARISON_STEPS
+from .field_optimisation import optimise_field
+from .loop import Optimised
+from .presets import COMPARISON, COMPARISON_RATE, COMPARISON_STEPS
 from .problem import Problem
-from .stages import CoarseToFine
 
 # The share of the time left that a comparison may take.
 TIME_SHARE = 0.5
@@ -30,8 +34,8 @@ def final_losses(
 
     Raises KeyboardInterrupt where Ctrl-C ended one of them.
     """
-    runs = [
-        CoarseToFine(problem, weights, field, COMPARISON, BEST_POINTS.learning_rate, follow=False)
+    runs: list[Callable[..., Optimised]] = [
+        partial(optimise_field, problem, weights, field, COMPARISON, COMPARISON_RATE)
         for problem in problems
     ]
     end = time.perf_counter() + TIME_SHARE * (until - time.perf_counter())
@@ -39,22 +43,23 @@ def final_losses(
         return None
     losses = []
     for run in runs:
-        optimised, _ = run.run(COMPARISON_STEPS, until=end)
+        optimised = run(COMPARISON_STEPS, until=end)
         if optimised.interrupted:
             raise KeyboardInterrupt
         if optimised.out_of_time:
             return None
-        losses.append(optimised.best_loss)
+        # `best_loss` has no position prior, which says how far the cloud had to move.
+        losses.append(float(np.nanmin(optimised.losses)))
     return losses[0], losses[1]
 
 
-def _in_time(first: CoarseToFine, end: float) -> bool:
+def _in_time(first: Callable[..., Optimised], end: float) -> bool:
     """Whether both are done by the ``end``; the second takes at most as long as the ``first``."""
     # The first time, factors are computed that later runs use.
     for steps in (0, TIMED_STEPS):
         if (started := time.perf_counter()) >= end:
             return False
-        if first.run(steps)[0].interrupted:
+        if first(steps).interrupted:
             raise KeyboardInterrupt
     now = time.perf_counter()
     return now + TIMING_FACTOR * COMPARISON_STEPS / TIMED_STEPS * (now - started) < end

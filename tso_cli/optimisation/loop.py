@@ -6,12 +6,15 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ..errors import is_interrupt
 from ..geometry.arrays import Array
+
+if TYPE_CHECKING:
+    from .learned_start import Beginning
 
 Progress = Callable[[int, int, float, Array], None]
 """Called with (step, steps, loss, points [N, 3]) of each step but the start."""
@@ -36,11 +39,12 @@ class Optimised:
     Attributes
     ----------
     best : [N, 3], the iterate with the lowest loss. best_step : its step.
-    losses : at the start and after every step; the last is NaN where points or loss were not
+    losses : where it began and after every step; the last is NaN where points or loss were not
         finite.
     interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
     first_loss, best_loss : of the start and of ``best``.
-    stages : the best iterate of each stage, [N, 3]. objective : of the last stage.
+    begun : where `optimise_field` began, None in other optimisations. agreement : its objective
+        without the position prior.
     """
 
     best: Array
@@ -49,23 +53,14 @@ class Optimised:
     interrupted: bool
     first_loss: float
     best_loss: float
-    stages: tuple[Array, ...] = ()
-    objective: Term | None = None
+    begun: Beginning | None = None
+    agreement: Term | None = None
     out_of_time: bool = False
 
     @property
     def steps(self) -> int:
         """Steps that were taken and had a finite loss."""
         return int(np.isfinite(self.losses).sum()) - 1
-
-
-def offset_progress(on_progress: Progress, done: int, total: int) -> Progress:
-    """Reports the steps of a stage, which begins after ``done`` of ``total`` steps."""
-
-    def report(step: int, _steps_of_stage: int, loss: float, points: Array) -> None:
-        on_progress(done + step, total, loss, points)
-
-    return report
 
 
 def sum_of(terms: list[Term]) -> Term:

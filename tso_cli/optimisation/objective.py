@@ -157,11 +157,6 @@ class MaskChamferObjective:
     resolvability: list[Array] | None = None
 
     def __call__(self, points: Array) -> tuple[float, Array]:
-        value, gradient, _ = self.in_parts(points)
-        return value, gradient
-
-    def in_parts(self, points: Array) -> tuple[float, Array, Array]:
-        """Value and gradient, and what each point adds to the masks' part of the value [N]."""
         costs, gradient, observed = self._of_masks(points)
         total = float(costs.sum()) if observed else np.inf
         for view in self.targets.views:
@@ -173,7 +168,7 @@ class MaskChamferObjective:
                     self.robust_scale,
                 )
                 total, gradient = total + view.weight * value, gradient + view.weight * by_points
-        return total, gradient, costs
+        return total, gradient
 
     def _of_masks(self, points: Array) -> tuple[Array, Array, bool]:
         """What each point adds, [N], the gradient [N, 3], and whether all views observe points."""

@@ -13,14 +13,13 @@ from ..geometry.arrays import Array
 from ..losses.chamfer import ChamferToStart
 from ..losses.photometric import Photo, PhotometricTerm
 from .adam import Adam
+from .field_optimisation import network_objective, optimise_field
+from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import SilhouetteObjective
 from .parameters import PointParameters
-from .presets import BAD_START, MORE_STEPS, Stage
-from .prior import start_loss
 from .problem import Problem
 from .settings import Settings
-from .stages import CoarseToFine, network_objective
 from .view_weights import ViewWeights
 
 
@@ -41,16 +40,7 @@ def weigh(problem: Problem, settings: Settings) -> WeighedProblem:
     start, weights = problem.cloud.start, ViewWeights.even(len(problem.given))
     if settings.preset == "best":
         weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start)
-    return WeighedProblem(problem, weights, SmoothField(start) if settings.staged else None)
-
-
-def steps_for(weighed: WeighedProblem, settings: Settings) -> int:
-    """Steps to take: more than the default where the start fits several large masks badly."""
-    problem = weighed.problem
-    if not settings.staged or "steps" in settings.given or not problem.several_large:
-        return settings.steps
-    loss, _ = start_loss(problem.cloud.start, problem.targets(weighed.weights.loss))
-    return settings.steps * (MORE_STEPS if loss > BAD_START else 1)
+    return WeighedProblem(problem, weights, SmoothField(start) if settings.smooth else None)
 
 
 def optimise(
@@ -58,35 +48,38 @@ def optimise(
     settings: Settings,
     steps: int,
     network: Parameters | None = None,
+    begin: Beginning | None = None,
     on_progress: Progress | None = None,
     until: float = math.inf,
 ) -> tuple[Optimised, Problem]:
     """Move the cloud, or the ``network`` that predicts it, until it agrees with its views.
 
-    Returns what was found, and the problem with its last windows.
+    The default preset in points mode begins at ``begin``, without it at the start.
+
+    Returns what was found, and the problem with the windows of the optimisation.
     """
     problem, start, weights = weighed.problem, weighed.problem.cloud.start, weighed.weights.loss
     chamfer: list[Term] = []
     if settings.gamma:
         chamfer = [_Times(settings.gamma, ChamferToStart(start))]
     if weighed.field:
-        photos = _photos(problem, weights)
-        colours = np.asarray(problem.cloud.colours, dtype=np.float64)
-
-        def stage_terms(points: Array, stage: Stage) -> list[Term]:
-            of_photos = [PhotometricTerm.at(one, colours, points, stage.blur) for one in photos]
-            return [*chamfer, *of_photos]
-
-        coarse_to_fine = CoarseToFine(
+        begin, recipe = begin or Beginning(start), settings.recipe
+        around = problem.cloud.denormalise(begin.points)
+        problem = problem.with_windows_around(around, recipe.fine_grid)
+        found = optimise_field(
             problem,
             weights,
             weighed.field,
-            settings.coarse_to_fine,
+            recipe,
             settings.learning_rate,
+            steps,
+            begin=begin,
             observations=problem.observations(weights),
-            stage_terms=stage_terms,
+            terms=[*chamfer, *_photometric(problem, weights, begin.points)],
+            on_progress=on_progress,
+            until=until,
         )
-        return coarse_to_fine.run(steps, on_progress, until)
+        return found, problem
     term: Term = SilhouetteObjective(problem.resampled, problem.all_weights(weights))
     if settings.preset == "best":
         term = network_objective(start, problem.targets(weights))
@@ -104,13 +97,15 @@ class _Times:
         return self.weight * value, self.weight * gradient
 
 
-def _photos(problem: Problem, weights: Sequence[float]) -> list[Photo]:
-    """The photos of the given views, if the cloud has colours."""
+def _photometric(problem: Problem, weights: Sequence[float], points: Array) -> list[Term]:
+    """The terms of the photos of the given views at ``points``, if the cloud has colours."""
     if problem.cloud.colours is None:
         return []
-    photos = []
+    colours = np.asarray(problem.cloud.colours, dtype=np.float64)
+    terms: list[Term] = []
     for windowed, weight in zip(problem.given, weights, strict=True):
         view = windowed.resampled
         if view.image is not None:
-            photos.append(Photo(view.image, view.target.inside, view.camera, weight))
-    return photos
+            photo = Photo(view.image, view.target.inside, view.camera, weight)
+            terms.append(PhotometricTerm.at(photo, colours, points))
+    return terms

@@ -8,8 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from ..cloud.control_points import CONTROL_POINTS
-
 Mode = Literal["points", "encoder", "encoder-decoder", "latent"]
 Preset = Literal["best", "paper"]
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -24,7 +22,8 @@ class Defaults:
     """Defaults of a preset and a mode.
 
     steps : of the optimiser; in points mode with "best" for each view (`default_steps`).
-    learning_rate : for a cloud of longest side 1.
+    learning_rate : for a cloud of longest side 1. In points mode with "best" it is the largest
+        change of a node's vector in the first step; smoothing makes the points move less.
     gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
     """
 
@@ -34,7 +33,7 @@ class Defaults:
 
 
 DEFAULTS = {
-    ("best", "points"): Defaults(48, 4e-2, 0.0),
+    ("best", "points"): Defaults(20, 3e-2, 0.0),
     ("best", "encoder"): Defaults(12, 3e-5, 0.0),
     ("best", "encoder-decoder"): Defaults(12, 6e-5, 0.0),
     ("best", "latent"): Defaults(30, 1e-3, 0.0),
@@ -48,13 +47,8 @@ BEST_POINTS, PAPER_POINTS = DEFAULTS["best", "points"], DEFAULTS["paper", "point
 
 # Several views that disagree need longer to reconcile, up to this many.
 MOST_VIEWS_FOR_STEPS = 4
-# Several masks that all fill the finest grid, and a start whose mean loss is over this (px^2 of a
-# mask of 64, per mask pixel), take this factor of the steps. Other scenes of the training and
-# validation shapes gain nothing by more steps.
-BAD_START = 1.0
-MORE_STEPS = 2
 
-# With a budget of fewer seconds for each view, 48 steps of 1,024 points may not fit ...
+# With a budget of fewer seconds for each view, the steps of 1,024 points may not fit ...
 SHORT_SECONDS = 0.3
 # ... and the default is this number of control points.
 SHORT_CONTROL_POINTS = 512
@@ -66,89 +60,54 @@ FEWEST_CONTROL_POINTS = 16
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One stage of the coarse-to-fine optimisation. All stages have equally many steps.
+class Recipe:
+    """Numbers of the default preset. The ablation changes one at a time.
+
+    The network modes have their own robust scale, prior weights and resolvability alone.
 
     Parameters
     ----------
     smoothness : lambda of `SmoothField`.
     robust_scale : of the mask Chamfer loss, px of a window of 64.
-    learning_rate_scale : factor of the learning rate. Cars and sofas gain by a slower last stage.
-    nodes : of the displacement field.
-    averaging_weight : of this stage's best iterate in the result, which is a mean over stages.
-    blur : standard deviation of the photometric loss's blur, px of a window of 64.
-    fine_grid : whether the window is resampled at `fine_cells` in place of 64 cells a side.
-    """
-
-    smoothness: float
-    robust_scale: float
-    learning_rate_scale: float = 1.0
-    nodes: int = CONTROL_POINTS
-    averaging_weight: float = 1.0
-    blur: float = 0.5
-    fine_grid: bool = False
-
-
-# At first the cloud moves almost rigidly, toward distant pixels too. At last it moves almost point
-# by point, toward near pixels only. Where stages disagree, the later stage is wrong about as often
-# as it is right. The mean of the stages is about as accurate as the last stage, and is less often
-# worse than the start.
-STAGES = (
-    Stage(100.0, 6.0, 1.0, 256, 1.0, blur=2.0),
-    Stage(10.0, 3.0, 1.0, 512, 2.0, blur=1.0),
-    Stage(1.0, 3.0, 0.35, CONTROL_POINTS, 3.0, fine_grid=True),
-)
-
-
-@dataclass(frozen=True)
-class CoarseToFineConfig:
-    """Settings of the default preset. The ablation changes one at a time.
-
-    Parameters
-    ----------
-    stages : in this order.
+    fine_grid : whether windows have `fine_cells` in place of 64 cells a side.
     prior_weight : cost of moving a point, per squared distance (longest side 1), where the mean
         loss of the start per mask pixel is e = 1 px^2. A worse start is held less, by
         prior_weight / e^prior_decay.
     least_prior_weight : the least prior weight for one view.
     truncated_prior : factor of the prior where the image border truncates the object in every view.
-    local_prior : whether a part of the cloud that fits badly is held less than the rest.
+    firmness : factor of the prior where the learned prior finds that the start is right.
     uniform_adam : whether Adam's step has one scale for the whole cloud (`UniformAdam`), or one
         for each number.
     use_resolvability : whether parts that are too thin for the pixels are left out of the loss of
         points outside the mask.
     """
 
-    stages: tuple[Stage, ...] = STAGES
-    prior_weight: float = 300.0
+    smoothness: float = 0.5
+    robust_scale: float = 3.0
+    fine_grid: bool = True
+    prior_weight: float = 350.0
     prior_decay: float = 1.0
-    least_prior_weight: float = 200.0
+    least_prior_weight: float = 250.0
     truncated_prior: float = 3.0
-    local_prior: bool = True
+    firmness: float = 16.0
     uniform_adam: bool = True
     use_resolvability: bool = True
 
 
-BEST = CoarseToFineConfig()
+BEST = Recipe()
 # The network modes. Weights move many points together, so no field is needed. A prediction that is
 # far off has the wrong shape, which small changes of weights do not mend, so the prior falls more
 # slowly with the loss of the start.
-NETWORK = CoarseToFineConfig(
-    stages=(Stage(0.0, 3.0),),
-    prior_weight=500.0,
-    prior_decay=0.5,
-    least_prior_weight=30.0,
-    local_prior=False,
-)
-# Two short optimisations are compared to verify a hypothesis. They have one loosely held stage: a
-# strong prior would hide how they differ.
-COMPARISON = CoarseToFineConfig(
-    stages=(Stage(10.0, 6.0, nodes=512),),
+NETWORK = Recipe(prior_weight=500.0, prior_decay=0.5, least_prior_weight=30.0)
+# Two short optimisations are compared to verify a hypothesis. They move large parts together. Their
+# position prior is weak: a strong one would hide how they differ.
+COMPARISON = Recipe(
+    smoothness=5.0,
+    robust_scale=6.0,
     prior_weight=350.0,
     least_prior_weight=30.0,
-    local_prior=False,
 )
-COMPARISON_STEPS = 20
+COMPARISON_STEPS, COMPARISON_RATE = 20, 4e-2
 
 
 def default_steps(views: int) -> int:

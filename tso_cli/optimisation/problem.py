@@ -5,34 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ..cloud.cloud import ControlledCloud
 from ..errors import InputError
-from ..geometry.arrays import Array, Box
+from ..geometry.arrays import Array
 from ..geometry.view import View
 from ..geometry.window import window_of
 from .objective import ViewTargets
-from .resampled_view import CELLS, FINEST_GRID, ResampledView, fine_cells, resample_view
+from .resampled_view import CELLS, ResampledView, fine_cells, resample_view
 from .settings import Settings
 from .symmetry import SymmetryDecision, decide_symmetry
 
 # A flipped view counts as a quarter of a real view: that the object is symmetric is a guess.
 FLIPPED_EVIDENCE = 0.25
-# A window is resampled anew where the logarithm of its side changed by more than this.
-WINDOW_CHANGE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class WindowedView:
-    """A view, resampled to its window.
-
-    fine_cells : cells along the window in stages with a fine grid.
-    """
+    """A view, resampled to its window."""
 
     view: View
     resampled: ResampledView
-    fine_cells: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +55,8 @@ class Problem:
         views, plane = tuple(views), symmetry.plane
         flipped = () if plane is None else tuple(map(plane.flipped, views))
         given, mirrored = (
-            tuple(_windowed(view, cloud, sigma_sq) for view in some) for some in (views, flipped)
+            tuple(_windowed(view, cloud, sigma_sq, cloud.control_points) for view in some)
+            for some in (views, flipped)
         )
         return cls(cloud, given, mirrored, symmetry, sigma_sq)
 
@@ -90,26 +83,17 @@ class Problem:
         """The same without the flipped views."""
         return replace(self, flipped=())
 
-    def with_windows_around(self, points: Array, fine_grid: bool) -> Problem:
+    def with_windows_around(self, points: Array, fine: bool) -> Problem:
         """The same with windows around ``points`` [N, 3], in the unit of the source.
 
-        Views are resampled where the side of the window changes much. A cloud that starts far from
-        its mask needs a large window at first, which would resolve little detail later.
+        ``fine`` windows have `fine_cells`. A cloud that starts far from its mask has a large
+        window, which would resolve little detail after the learned prior has moved it.
         """
 
-        def moved(windowed: WindowedView) -> WindowedView:
-            cells, now = windowed.fine_cells if fine_grid else CELLS, windowed.resampled
-            box = window_of(windowed.view, points)
-            change = abs(np.log(_side(box) / _side(now.box)))
-            if now.camera.width == cells and change <= WINDOW_CHANGE:
-                return windowed
-            of_cloud = self.cloud.centre, self.cloud.scale
-            new = resample_view(windowed.view, self.sigma_sq, *of_cloud, box, cells)
-            return replace(windowed, resampled=new)
+        def renewed(windowed: WindowedView) -> WindowedView:
+            return _windowed(windowed.view, self.cloud, self.sigma_sq, points, fine)
 
-        given, flipped = (tuple(map(moved, views)) for views in (self.given, self.flipped))
-        if (*given, *flipped) == (*self.given, *self.flipped):
-            return self
+        given, flipped = (tuple(map(renewed, views)) for views in (self.given, self.flipped))
         return replace(self, given=given, flipped=flipped)
 
     def targets(self, weights: Sequence[float]) -> ViewTargets:
@@ -119,12 +103,6 @@ class Problem:
     def all_weights(self, weights: Sequence[float]) -> list[float]:
         """The ``weights`` of the given views, for all views."""
         return [*weights, *weights] if self.flipped else [*weights]
-
-    @property
-    def several_large(self) -> bool:
-        """Whether there are several masks, and all have the finest grid in the last stage."""
-        grids = [windowed.fine_cells for windowed in (*self.given, *self.flipped)]
-        return len(self.given) > 1 and min(grids) == FINEST_GRID
 
     @property
     def masks_alone(self) -> bool:
@@ -151,14 +129,13 @@ def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -
     return Problem.of(cloud, views, symmetry, settings.sigma_sq)
 
 
-def _windowed(view: View, cloud: ControlledCloud, sigma_sq: float) -> WindowedView:
-    box = window_of(view, cloud.control_points)
-    resampled = resample_view(view, sigma_sq, cloud.centre, cloud.scale, box)
-    return WindowedView(view, resampled, fine_cells(_side(resampled.box), len(cloud.start)))
-
-
-def _side(box: Box) -> float:
-    return box[2] - box[0]
+def _windowed(
+    view: View, cloud: ControlledCloud, sigma_sq: float, points: Array, fine: bool = False
+) -> WindowedView:
+    """A view in its window around ``points`` [N, 3], in the unit of the source."""
+    box = window_of(view, points)
+    cells = fine_cells(box[2] - box[0], len(cloud.start)) if fine else CELLS
+    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box, cells))
 
 
 def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> None:
@@ -167,7 +144,7 @@ def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: 
         "an image": any(view.image is not None for view in views),
     }
     for name, used in uses.items():
-        if used and not settings.staged:
+        if used and not settings.smooth:
             raise InputError(
                 f"a view has {name}, expected mode points with preset best, "
                 f"found {settings.mode} with {settings.preset}"

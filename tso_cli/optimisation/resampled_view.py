@@ -15,7 +15,7 @@ from ..geometry.view import View
 from ..geometry.window import window_of
 from ..losses.mask_chamfer import REFERENCE_SIDE, MaskTarget
 
-# Cells along the side of a window, unless a stage has a fine grid (`fine_cells`).
+# Cells along the side of a window. The optimisation of the default in points mode has `fine_cells`.
 CELLS = 64
 
 
@@ -150,7 +150,7 @@ def _sampled(depth: Array, box: Box, cells: int) -> Array:
     )
 
 
-# Cells a side in the last stage -> the least side of a window that has them, in mask pixels.
+# Cells a side in the optimisation -> the least side of a window that has them, in mask pixels.
 # More cells bring nothing, even for 16,384 points.
 FINE_GRIDS = {128: 96.0, 96: 48.0}
 FINEST_GRID = max(FINE_GRIDS)
@@ -159,7 +159,7 @@ FEWEST_POINTS_FOR_FINE = 512
 
 
 def fine_cells(side: float, points: int) -> int:
-    """Cells along a window of ``side`` pixels in stages with a fine grid; ``points`` move."""
+    """Cells along a window of ``side`` pixels for the optimisation; ``points`` move."""
     if points < FEWEST_POINTS_FOR_FINE:
         return CELLS
     return next((cells for cells, pixels in FINE_GRIDS.items() if side >= pixels), CELLS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .presets import CoarseToFineConfig, Mode, Preset
+from .presets import Mode, Preset, Recipe
 
 
 @dataclass(frozen=True)
@@ -12,6 +12,7 @@ class Settings:
     """A `RefineConfig` with the preset's values in place of None.
 
     points : most control points, None for all points. seconds : how long the refinement may take.
+    prior : "learned", "none" or the file of a prior.
     given : names of the values that the caller chose.
     """
 
@@ -27,10 +28,11 @@ class Settings:
     accept_doubtful: bool
     points: int | None
     seconds: float
-    coarse_to_fine: CoarseToFineConfig
+    prior: str
+    recipe: Recipe
     given: frozenset[str]
 
     @property
-    def staged(self) -> bool:
-        """Whether points move from coarse to fine: the default preset in points mode."""
+    def smooth(self) -> bool:
+        """Whether a smooth displacement field moves points: the default preset in points mode."""
         return self.preset == "best" and self.mode == "points"

@@ -63,9 +63,8 @@ def refine(
 
     Returns
     -------
-    RefineResult. Its points are the best iterate of the preset's objective. "best" in points mode
-    returns the mean of the stages' best iterates. If nothing is better than the start, the result
-    is the start.
+    RefineResult. Its points are the best iterate of the preset's objective. If nothing is better
+    than the start, the result is the start.
 
     Raises
     ------
@@ -102,7 +101,7 @@ def refine(
 def work_of(settings: Settings, views: int, points: int) -> tuple[int, int]:
     """How often a cloud is compared with a view, and that times its points, for `planned`."""
     comparisons = views * settings.steps
-    if settings.staged:
+    if settings.smooth:
         points = min(points, settings.points or points)
     if settings.symmetry == "auto":
         # The flipped views, and the symmetry check.

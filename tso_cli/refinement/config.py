@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal
 
 from ..cloud.control_points import CONTROL_POINTS
 from ..errors import InputError
 from ..geometry.points import CANDIDATES
+from ..io.shipped import LEARNED, NO_PRIOR
 from ..optimisation.presets import (
     BEST,
     DEFAULTS,
@@ -18,9 +20,9 @@ from ..optimisation.presets import (
     SHORT_CONTROL_POINTS,
     SHORT_SECONDS,
     SIGMA_SQ,
-    CoarseToFineConfig,
     Mode,
     Preset,
+    Recipe,
     default_steps,
 )
 from ..optimisation.settings import Settings
@@ -36,8 +38,8 @@ class RefineConfig:
     mode : what is optimised: "points", "encoder" or "encoder-decoder" (the network's weights), or
         "latent" (the vector of 128 numbers between encoder and decoder).
     steps : of the optimiser; 0 returns the start.
-    learning_rate : for a cloud of longest side 1. With "best" in points mode it is how far the
-        point with the largest gradient moves in one of the first steps; else it is Adam's.
+    learning_rate : for a cloud of longest side 1. With "best" in points mode it is the
+        largest change of a node's vector in the first step; else it is Adam's.
     gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
     sigma_sq : variance of the projection's Gaussian in squared cells of a window of 64. The
         default is the paper's, 0.4. The preset "paper" and ``refine_camera`` use it.
@@ -55,10 +57,13 @@ class RefineConfig:
     points : most control points: points that move by themselves, while the others follow (16 to
         16,384; of a mesh at most 4,096). With "best" in points mode the default is 1,024, or 512
         with a budget of less than 0.3 seconds a view. Otherwise all points move.
-    coarse_to_fine : settings of the preset "best" in points mode, for ablations.
+    prior : what is known about shapes of the cloud's kind: "learned", the prior that comes with the
+        program; "none"; or the path of a file that `tso train --prior` has written. The default is
+        "learned" with "best" in points mode, else "none".
+    recipe : settings of the preset "best" in points mode, for ablations.
 
     The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
-    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 48 steps for each view,
+    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 20 steps for each view,
     up to four views.
 
     Raises
@@ -79,7 +84,8 @@ class RefineConfig:
     accept_doubtful: bool = False
     budget: Literal["auto"] | float = "auto"
     points: int | None = None
-    coarse_to_fine: CoarseToFineConfig = BEST
+    prior: str | Path | None = None
+    recipe: Recipe = BEST
 
     def __post_init__(self) -> None:
         for name, known in (("mode", MODES), ("preset", PRESETS)):
@@ -101,14 +107,15 @@ class RefineConfig:
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
         _ = self.budget_seconds
-        staged_only = {
-            "coarse_to_fine": self.coarse_to_fine is not BEST,
+        smooth_only = {
+            "recipe": self.recipe is not BEST,
             "points": self.points is not None,
+            "prior": self.prior is not None and str(self.prior) != NO_PRIOR,
         }
-        for name, used in staged_only.items():
+        for name, used in smooth_only.items():
             if used and (self.preset, self.mode) != ("best", "points"):
                 raise InputError(
-                    f"{name} is for mode points with preset best, "
+                    f"`{name}` is for mode points with preset best, "
                     f"found {self.mode} with {self.preset}"
                 )
 
@@ -146,19 +153,22 @@ class RefineConfig:
     def settings(self, views: int = 1) -> Settings:
         """The same with the preset's values in place of None, for clouds with ``views`` views."""
         preset, seconds = DEFAULTS[self.preset, self.mode], self.budget_seconds
-        staged = self.preset == "best" and self.mode == "points"
+        smooth = self.preset == "best" and self.mode == "points"
         short = seconds < SHORT_SECONDS * views
         defaults: dict[str, Any] = dict(
-            steps=default_steps(views) if staged else preset.steps,
+            steps=default_steps(views) if smooth else preset.steps,
             learning_rate=preset.learning_rate,
             gamma=preset.gamma,
-            symmetry="auto" if staged else "none",
+            symmetry="auto" if smooth else "none",
             sigma_sq=SIGMA_SQ,
-            points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if staged else None,
+            prior=LEARNED if smooth else NO_PRIOR,
+            points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if smooth else None,
         )
         chosen = {
             name: value
             for name, value in vars(self).items()
             if value is not None and name != "budget"
         }
+        if "prior" in chosen:
+            chosen["prior"] = str(chosen["prior"])
         return Settings(**(defaults | chosen), seconds=seconds, given=frozenset(chosen))

@@ -7,7 +7,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..optimisation.loop import Optimised
-from ..optimisation.presets import COMPARISON_STEPS, MORE_STEPS, SHORT_CONTROL_POINTS, default_steps
+from ..optimisation.presets import (
+    BEST_POINTS,
+    COMPARISON_STEPS,
+    SHORT_CONTROL_POINTS,
+    default_steps,
+)
 from ..optimisation.problem import Problem
 from ..optimisation.resampled_view import FINEST_GRID
 from ..optimisation.settings import Settings
@@ -32,7 +37,7 @@ class Decision:
 
 def decisions(problem: Problem, settings: Settings, optimised: Optimised) -> tuple[Decision, ...]:
     """Of the default preset in points mode; other modes and presets decide nothing."""
-    if not settings.staged:
+    if not settings.smooth:
         return ()
     return (
         _window(problem),
@@ -65,7 +70,7 @@ def _grid(problem: Problem) -> Decision:
     if saving:
         reason = "the window's pixels, and the control points, resolve no more"
     choice = ", ".join(f"{count}x{count}" for count in dict.fromkeys(cells))
-    return Decision("cells", f"{choice} in the last stage", reason, saving)
+    return Decision("cells", choice, reason, saving)
 
 
 def _points(problem: Problem, settings: Settings) -> Decision:
@@ -96,9 +101,7 @@ def _steps(problem: Problem, settings: Settings, optimised: Optimised) -> Decisi
         reason = "no loss was left"
     elif "steps" in settings.given:
         reason = "as asked for"
-    elif settings.steps > enough:
-        reason = f"the start fits {masks} large masks badly"
-    saving = 1.0 - done / max(done, MORE_STEPS * enough)
+    saving = 1.0 - done / max(done, BEST_POINTS.steps * masks)
     return Decision("steps", f"{done}", reason, saving)
 
 

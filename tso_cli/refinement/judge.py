@@ -20,7 +20,7 @@ from ..losses.chamfer import ChamferToStart
 from ..optimisation.loop import Optimised
 from ..optimisation.objective import MaskChamferObjective
 from ..optimisation.optimise import WeighedProblem
-from ..optimisation.presets import BEST_POINTS, FEWEST_CONTROL_POINTS, STAGES
+from ..optimisation.presets import BEST, BEST_POINTS, FEWEST_CONTROL_POINTS
 from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
 from .decisions import decisions
@@ -31,8 +31,9 @@ Ious = list[tuple[float, float]]  # of each view, before and after
 # A start of lower IoU hardly touches its mask, like a pole next to the pole of its mask. Coming
 # nearer need not raise the IoU.
 FEEBLE_IOU = 0.1
-# With fewer steps there is no confidence: what a few steps leave undone looks like a mistake.
-FEWEST_STEPS = BEST_POINTS.steps // 4
+# With fewer steps, or less than half of all, there is no confidence: what is left undone looks like
+# a mistake.
+FEWEST_STEPS = BEST_POINTS.steps // 2
 # A view with a lower inlier weight is a finding.
 CONTRADICTED_WEIGHT = 0.5
 # Samples of a surface by which before and after are compared. In 75 refinements of the shipped
@@ -63,8 +64,8 @@ def judge(
     """The result of an optimisation.
 
     The displacement is taken as a whole, or in part or not at all where it is likely to make the
-    cloud worse. ``problem`` has the last windows, ``given`` are the views with the cameras that
-    were given.
+    cloud worse. ``problem`` has the windows of the optimisation. ``given`` are the views with the
+    cameras that were given.
 
     Raises TsoError where the loss of the start, or after the first step, is not a finite number.
     """
@@ -78,6 +79,7 @@ def judge(
     ending = _ending(weighed, problem, optimised, given, diagnosis, settings)
     cloud, moved, weights = problem.cloud, ending.moved, weighed.weights
     lengths = np.linalg.norm(moved.displacements, axis=1)
+    begun = cloud.start if optimised.begun is None else optimised.begun.points
     chamfer, _ = ChamferToStart(cloud.start)(cloud.start + moved.displacements)
     iou_before, iou_after = np.mean(ending.ious, 0).tolist()
     fit = Fit(
@@ -90,6 +92,7 @@ def judge(
         loss_after=_loss_after(problem, optimised, ending),
         iou_before=iou_before,
         iou_after=iou_after,
+        moved_by_prior=float(np.linalg.norm(begun - cloud.start, axis=1).mean()),
         moved_mean=float(lengths.mean()),
         moved_max=float(lengths.max()),
         chamfer_to_initial=chamfer,
@@ -142,13 +145,15 @@ def _ending(
         windowed.view.camera is view.camera
         for windowed, view in zip(problem.given, given, strict=True)
     )
-    kept: StopReason | None = None if optimised.best_step else "not_improved"
-    if settings.staged and same_cameras and problem.masks_alone:
+    # The learned prior may have moved a cloud that no step improved.
+    improved = optimised.best_step > 0 or (optimised.begun is not None and displacements.any())
+    kept: StopReason | None = None if improved else "not_improved"
+    if settings.smooth and same_cameras and problem.masks_alone:
         kept = _why_start_is_kept(problem, moved, ious, weights.loss) or kept
     if kept:
         start = problem.cloud.moved(np.zeros_like(displacements))
-        # Without a step the IoU after is the IoU by the corrected camera.
-        ious = [(iou, iou if optimised.best_step else end) for iou, end in ious]
+        # Without a displacement the IoU after is the IoU by the corrected camera.
+        ious = [(iou, iou if improved else end) for iou, end in ious]
         trust = Trust.unchanged(diagnosis).with_camera(diagnosis)
         return _Ending(start, ious, trust, "unchanged", kept)
     unknown = _why_unknown(problem, optimised, settings)
@@ -172,13 +177,14 @@ def _why_unknown(
     problem: Problem, optimised: Optimised, settings: Settings
 ) -> tuple[str, str] | None:
     """Why there is no confidence, as a name and in words; None where there is one."""
-    steps = len(optimised.losses) - 1 if optimised.out_of_time else settings.steps
+    # An optimisation that ended because no loss was left is whole.
+    steps = settings.steps if optimised.losses[-1] == 0.0 else optimised.steps
     points = len(problem.cloud.control_points)
-    few = len(optimised.stages) < len(STAGES) or steps < FEWEST_STEPS
+    few = steps < max(FEWEST_STEPS, settings.steps / 2)
     # The confidence counts on a symmetry check of a cloud that has a mirror plane.
     late = (optimised.out_of_time and few) or problem.symmetry.outcome == "unchecked"
     reasons = (
-        ("mode", "only mode points with preset best has a confidence", not settings.staged),
+        ("mode", "only mode points with preset best has a confidence", not settings.smooth),
         ("evidence", "a result with a depth map or a photo has none", not problem.masks_alone),
         ("points", f"{points} points are too few", points < FEWEST_CONTROL_POINTS),
         ("interrupted", "it was interrupted", few and optimised.interrupted),
@@ -232,7 +238,7 @@ def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> t
     need.
     """
     targets = problem.without_flipped().targets(weights)
-    objective = MaskChamferObjective(targets, STAGES[-1].robust_scale)
+    objective = MaskChamferObjective(targets, BEST.robust_scale)
     most = SAMPLES_OF_A_MESH if problem.cloud.source.surface else CANDIDATES
     before, after = (
         objective(problem.cloud.normalise(scattered(points, most)))[0]
@@ -242,14 +248,14 @@ def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> t
 
 
 def _loss_after(problem: Problem, optimised: Optimised, ending: _Ending) -> float:
-    """By the last objective."""
+    """By the objective without the position prior."""
     if ending.outcome != "moved":
         return 0.0 if ending.stop_reason == "nothing_to_do" else optimised.first_loss
     taken = ending.trust.displacement_taken
-    if taken == 1.0 or optimised.objective is None:
+    if taken == 1.0 or optimised.agreement is None:
         return optimised.best_loss
     start = problem.cloud.start
-    return optimised.objective(start + taken * (optimised.best - start))[0]
+    return optimised.agreement(start + taken * (optimised.best - start))[0]
 
 
 def _stop_reason(optimised: Optimised, ending: _Ending, steps: int) -> StopReason:

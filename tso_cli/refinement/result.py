@@ -31,18 +31,19 @@ class Fit:
 
     outcome : "moved"; "unchanged": the start was best; or "refused": there was a displacement, and
         it was too doubtful to be taken.
-    steps : steps that were done. best_step : the step that the result is from, 0 where the start
-        was best. With the default preset in points mode, whose result is a mean over stages, it is
-        the best step of the last stage.
+    steps : steps that were done. best_step : the step that the result is from. 0 is where the
+        optimisation began: a moved cloud with 0 is as the learned prior moved it.
     stop_reason : "max_steps". After "interrupted" (Ctrl-C), "out_of_time" (of the budget) and
         "non_finite" (the loss became NaN or infinite) the best so far is kept. Where the result is
-        the start: "nothing_to_do" (its loss is 0), "not_improved" (no step had a lower loss) or
+        the start: "nothing_to_do" (its loss is 0), "not_improved" (no moved cloud was better) or
         "doubtful" (refused).
-    losses : the objective at the start and after every step.
-    loss_before, loss_after : of the start and of the result. With the default preset in points
-        mode the objective changes from stage to stage; both are by the last one.
+    losses : the objective where the optimisation begins, and after every step.
+    loss_before, loss_after : of the start and of the result; with the default preset in points
+        mode without the position prior.
     iou_before, iou_after : of the mask (> 0.5) and the cloud's silhouette, whose footprints follow
         the cloud's spacing (evaluation/footprint.py), in the square around both; mean over views.
+    moved_by_prior : mean length of the displacements of the control points by the learned prior, in
+        longest sides of the start. The optimisation goes on from there.
     moved_mean, moved_max : length of the displacements of the control points, in longest sides of
         the start.
     chamfer_to_initial : squared distances of control points, mean over points, both directions
@@ -58,6 +59,7 @@ class Fit:
     loss_after: float
     iou_before: float
     iou_after: float
+    moved_by_prior: float
     moved_mean: float
     moved_max: float
     chamfer_to_initial: float

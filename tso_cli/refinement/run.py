@@ -12,10 +12,12 @@ from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypothesis, verify_plane
 from ..geometry.arrays import Array
 from ..optimisation.camera_correction import corrected_cameras
+from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
-from ..optimisation.optimise import WeighedProblem, optimise, steps_for, weigh
+from ..optimisation.optimise import WeighedProblem, optimise, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
+from ..prior import named_prior
 from .clock import Clock
 from .judge import judge
 from .result import RefineResult
@@ -38,19 +40,21 @@ def run(
     masks do not meet or cannot be used, and TsoError as `judge`.
     """
     with clock.phase("prepare"):
+        prior = named_prior(settings.prior)
         cloud = scene.cloud.controlled(settings.points, scene.views)
         diagnosis = _examined(scene, cloud, settings)
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
     diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
-    if not clock.interrupted:
-        with clock.phase("prepare"):
-            settings = replace(settings, steps=steps_for(weighed, settings))
+    until = clock.until(settings.seconds)
+    begin = None
+    if weighed.field and settings.steps and prior is not None:
+        of_start = weighed.problem, weighed.weights.loss, weighed.field
+        begin = clock.attempt("move", partial(beginning, *of_start, prior, until), None)
     report = on_progress and _in_unit_of(problem.cloud, on_progress)
     steps = 0 if clock.interrupted else settings.steps
     with clock.phase("optimise"):
-        until = clock.until(settings.seconds)
-        optimised, problem = optimise(weighed, settings, steps, network, report, until)
+        optimised, problem = optimise(weighed, settings, steps, network, begin, report, until)
     if clock.interrupted:
         optimised = replace(optimised, interrupted=True)
     with clock.phase("judge"):
@@ -60,6 +64,7 @@ def run(
 def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, ControlledCloud]:
     """What `run` finds before it moves anything; raises InputError as it does."""
     clock = Clock()
+    named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
     diagnosis = _examined(scene, cloud, settings)
     if diagnosis.weak:

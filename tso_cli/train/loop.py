@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -31,6 +31,7 @@ from .step import Objective, batch_loss, draw_step, predict
 
 Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
+Drawn = TypeVar("Drawn")
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +217,11 @@ def _require_data(
 
 
 def prefetched(
-    draw: Callable[[int], list[Batch]], first: int, steps: int, workers: int
-) -> Generator[list[Batch], None, None]:
+    draw: Callable[[int], Drawn], first: int, steps: int, workers: int
+) -> Generator[Drawn, None, None]:
     """The batches of steps ``first`` to ``steps`` - 1; threads draw ``workers`` batches ahead."""
     pool = ThreadPoolExecutor(workers, thread_name_prefix="tso-batch")
-    waiting: deque[Future[list[Batch]]] = deque()
+    waiting: deque[Future[Drawn]] = deque()
     try:
         for step in range(first, steps):
             waiting.append(pool.submit(draw, step))

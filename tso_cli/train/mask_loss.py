@@ -16,7 +16,7 @@ from ..optimisation.objective import MaskChamferObjective, ViewTargets
 from ..optimisation.presets import BEST, SIGMA_SQ
 from ..optimisation.resampled_view import CELLS, resample_view
 
-ROBUST_SCALE = BEST.stages[0].robust_scale  # of the coarsest stage, since a network errs much
+ROBUST_SCALE = BEST.robust_scale
 
 
 class MaskLoss:

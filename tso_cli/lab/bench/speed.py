@@ -59,7 +59,7 @@ LARGE = {
     "mesh": ("a mesh of {:,} faces", 4.0),
 }
 """Name of a large file -> what it is, and its target in seconds."""
-NETWORK = ("torch", "safetensors")  # what the extra of this name installs
+NETWORK = ("torch",)  # what the extra of this name installs
 MOST_MIB = 1536
 """Target for the memory of large files."""
 # Targets for one object: points -> time over that of `import torch`.

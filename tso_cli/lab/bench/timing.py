@@ -138,7 +138,7 @@ def as_installed(folder: Path) -> dict[str, str]:
 
 def never_run(folder: Path) -> dict[str, str]:
     """The environment of a copy of the package without byte code and compiled loops."""
-    ignored = shutil.ignore_patterns("__pycache__", "weights", "examples")
+    ignored = shutil.ignore_patterns("__pycache__", "examples")
     shutil.copytree(PACKAGE, folder / "fresh" / PACKAGE.name, ignore=ignored)
     return {"PYTHONPATH": str(folder / "fresh"), "NUMBA_CACHE_DIR": str(folder / "compiled")}
 

@@ -8,6 +8,7 @@ from typing import cast
 
 from ...geometry.points import Array
 from ...geometry.view import View
+from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
 from ...optimisation.presets import BEST, Mode, Preset
 from ...refinement import RefineConfig
@@ -21,7 +22,7 @@ STARTS = {CLOUD: "start: another shape of the type", PREDICTION: "start: the net
 DEFAULT, PAPER = "points, best", "points, paper"
 # Steps of each mode and preset; None: the preset's own.
 STEPS: dict[str, tuple[int | None, ...]] = {
-    DEFAULT: (6, 12, 24, None, 96, 192),
+    DEFAULT: (5, 10, None, 40, 80),
     PAPER: (12, 25, None, 100, 200),
     **{f"{mode}, paper": (12, 25, None) for mode in ("encoder", "encoder-decoder")},
     **{f"{mode}, best": (6, None, 24) for mode in ("encoder", "encoder-decoder")},
@@ -79,7 +80,7 @@ def _default(
 
 
 BOTH = (CLOUD, PREDICTION)
-COARSE = replace(BEST, stages=tuple(replace(stage, fine_grid=False) for stage in BEST.stages))
+COARSE = replace(BEST, fine_grid=False)
 WAYS: dict[str, Way] = {
     **dict(way for line in STEPS for way in _by_steps(line)),
     **{f"{DEFAULT}, {count} masks": _default("masks", BOTH, masks=count) for count in (2, 4)},
@@ -95,9 +96,10 @@ WAYS: dict[str, Way] = {
         Variant(RefineConfig(points=4096)), "", (CLOUD,), points=4096
     ),
     f"{DEFAULT}, 256 px, 64 cells": Way(
-        Variant(RefineConfig(coarse_to_fine=COARSE)), "", (CLOUD,), size=256
+        Variant(RefineConfig(recipe=COARSE)), "", (CLOUD,), size=256
     ),
     f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
+    f"{DEFAULT}, no learned prior": Way(Variant(RefineConfig(prior=NO_PRIOR))),
     **{name: Way(variant, kinds=(PREDICTION,)) for name, variant in COMBINED.items()},
     **{name: Way(peer) for name, peer in PEERS.items()},
 }

@@ -11,21 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ... import render
+from ...datasets.variants import shape_type
 from ...errors import InputError
 from ...evaluation.metrics import chamfer
 from ...geometry.camera import CANONICAL_ROTATION
 from ...geometry.points import Array, farthest_point_sample, sample_surface
+from ...geometry.rotations import from_quaternion
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
 from ...render import RayScene, RenderSettings
 from ...scene.network import network_scene
-from .shapes import Shape, shape_type, shapes_of_part
+from .shapes import Shape, shapes_of_part
 
-KINDS = ("other", "near", "cut", "right", "network")
+KINDS = ("other", "turned", "near", "cut", "right", "network")
 """Where the start is from:
 
 - other: another shape of the category, about as wrong as a trained network's prediction;
+- turned: the cases of other, where start, truth and cameras are turned together by a random
+  rotation: the cloud lies at an angle to its axes;
 - near: another shape close to the truth;
 - cut: as other, and the border of the picture truncates the object;
 - right: another sampling of the truth;
@@ -34,7 +38,7 @@ KINDS = ("other", "near", "cut", "right", "network")
 # Chamfer distance (longest side 1) from another shape's cloud to the truth that is aimed at. A
 # category without one starts from its most similar training shape.
 LEVELS = {"other": {"airplane": 2.0e-3, "car": 1.6e-3}, "near": {"airplane": 0.4e-3, "car": 0.8e-3}}
-LEVELS["cut"] = LEVELS["other"]
+LEVELS["turned"] = LEVELS["cut"] = LEVELS["other"]
 SAMPLES, COMPARED = 16_384, 1024
 """Points of a surface, and how many of them are compared to choose a start."""
 MASKS = 4
@@ -53,7 +57,7 @@ class Case:
     ----------
     category, shape : of the truth; start : the shape that the initial cloud is from.
     initial, target : [N, 3]; dense : [16384, 3], more points of the target. Longest side 1,
-        centred; of kind "network" turned into the axes of the camera.
+        centred; of kind "turned" turned at random, of kind "network" into the axes of the camera.
     views : the first is the case's own, the others are further masks.
     floor : Chamfer distance from another sampling of the truth to ``target``.
     image : [3, 64, 64], what the network saw.
@@ -77,6 +81,16 @@ class Case:
     def names(self) -> dict[str, str | int]:
         """What records call the case."""
         return {key: getattr(self, key) for key in ("kind", "category", "shape", "view")}
+
+    def turned(self, rotation: Array) -> Case:
+        """The whole world turned: clouds by ``rotation`` [3, 3], cameras so that masks stay."""
+        inverse = rotation.T
+        views = (
+            replace(view, camera=replace(view.camera, R=view.camera.R @ inverse))
+            for view in self.views
+        )
+        clouds = {name: getattr(self, name) @ inverse for name in ("initial", "target", "dense")}
+        return replace(self, views=tuple(views), **clouds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +119,8 @@ class CaseBuilder:
         resampled = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
         target, initial = _subset(dense, self.points), _subset(resampled, self.points)
         floor = chamfer(initial, target).chamfer
-        scene, rng = RayScene(mesh), self._rng(shape, kind)
+        # The cases of kind "turned" are those of "other", so that both can be compared one by one.
+        scene, rng = RayScene(mesh), self._rng(shape, "other" if kind == "turned" else kind)
         start = {"right": "the truth", "network": "prediction"}.get(kind, "")
         if not start:
             level = LEVELS[kind].get(shape.category, 0.0)
@@ -116,12 +131,16 @@ class CaseBuilder:
             return Case(*names, number, start, initial, target, dense, views, floor)
 
         if kind == "network":
-            cases = map(case, range(self.views))
-            return [self._predicted(case, shape, scene, rng) for case in cases]
+            plain = map(case, range(self.views))
+            return [self._predicted(case, shape, scene, rng) for case in plain]
         # The three views after its own are a case's further masks.
         numbers = range(self.views + MASKS - 1)
         views = [self._view(shape, number, scene, kind == "cut", rng) for number in numbers]
-        return [case(number, *views[number : number + MASKS]) for number in range(self.views)]
+        cases = [case(number, *views[number : number + MASKS]) for number in range(self.views)]
+        if kind == "turned":
+            quaternion = self._rng(shape, kind).normal(size=4).tolist()
+            cases = [case.turned(from_quaternion(*quaternion)) for case in cases]
+        return cases
 
     def _rng(self, shape: Shape, purpose: str) -> np.random.Generator:
         words = (zlib.crc32(word.encode()) for word in (shape.name, purpose))
@@ -181,19 +200,14 @@ class CaseBuilder:
         foreground = picture.mask.astype(np.float32) / 255.0
         view = View(foreground, camera, name=f"{shape.name}, view {case.view}")
         predicted = network_scene(picture.image, view, self.network, self.about, placing="camera")
-        turn = (CANONICAL_ROTATION @ camera.R).T
         # A generator for each view: the number of views changes none of them.
         rng = np.random.default_rng([self.seed, zlib.crc32(shape.name.encode()), case.view])
-        views = [self._view(shape, number, scene, False, rng) for number in range(1, MASKS)]
-        turned = [
-            replace(view, camera=replace(view.camera, R=view.camera.R @ turn)) for view in views
-        ]
+        views = (self._view(shape, number, scene, False, rng) for number in range(1, MASKS))
+        turned = replace(case, views=tuple(views)).turned(CANONICAL_ROTATION @ camera.R)
         return replace(
-            case,
+            turned,
             initial=predicted.points,
-            target=case.target @ turn,
-            dense=case.dense @ turn,
-            views=(predicted.view, *turned),
+            views=(predicted.view, *turned.views),
             image=predicted.image,
         )
 

@@ -32,9 +32,9 @@ from .shapes import Shape, see
 
 Numbers = dict[str, float]
 # Relative. Threads, plain loops, another BLAS or other instructions change a number by 3e-4 at
-# most. But in the stages of the default preset the last bit of a start can choose other nodes,
+# most. But in the default preset the last bit of a start can choose other nodes,
 # and masks and steps amplify the change.
-TOLERANCE, STAGED_TOLERANCES = 0.005, {"Chamfer": 0.02, "IoU": 0.01}
+TOLERANCE, DEFAULT_TOLERANCES = 0.005, {"Chamfer": 0.02, "IoU": 0.01}
 CHAIR, PLANE = examples_folder() / "chair", examples_folder() / "airplane"
 
 
@@ -133,7 +133,7 @@ def differences(record: dict[str, Any]) -> list[str]:
             then, now = earlier.get(key), numbers.get(key)
             tolerance = TOLERANCE
             if part == "points, best":
-                tolerance = STAGED_TOLERANCES.get(key.split(": ")[-1], TOLERANCE)
+                tolerance = DEFAULT_TOLERANCES.get(key.split(": ")[-1], TOLERANCE)
             if then is None or now is None or not abs(then - now) <= tolerance * abs(now):
                 lines.append(f"{part}: {key} {then}, now {now}")
     return lines

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any, Final
 
 from ...errors import TsoError
+from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
-from ...optimisation.presets import BEST, CONTROL_POINTS, Mode, Preset, Stage
+from ...optimisation.presets import BEST, Mode, Preset
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
 from ..interrupts import uninterrupted
 from .cases import Case
@@ -28,11 +30,7 @@ class Variant:
 
 
 def _best_with(**changes: Any) -> Variant:
-    return Variant(RefineConfig(coarse_to_fine=replace(BEST, **changes)))
-
-
-def _stages_with(**changes: Any) -> Variant:
-    return _best_with(stages=tuple(replace(stage, **changes) for stage in BEST.stages))
+    return Variant(RefineConfig(recipe=replace(BEST, **changes)))
 
 
 PAPER: Final = "paper"
@@ -64,23 +62,18 @@ ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _stages_with(smoothness=0.0, nodes=CONTROL_POINTS),
-    "one stage": _best_with(stages=(Stage(10.0, 3.0, fine_grid=True),)),
-    "stages averaged alike": _stages_with(averaging_weight=1.0),
-    "one learning rate": _stages_with(learning_rate_scale=1.0),
-    "at most 512 nodes": _best_with(
-        stages=tuple(replace(stage, nodes=min(stage.nodes, 512)) for stage in BEST.stages)
-    ),
-    "64 cells in the last stage too": _stages_with(fine_grid=False),
-    "prior by the error of the whole cloud alone": _best_with(local_prior=False),
-    "no prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
+    "no smoothing": _best_with(smoothness=0.0),
+    "64 cells a side": _best_with(fine_grid=False),
+    "no learned prior": Variant(RefineConfig(prior=NO_PRIOR)),
+    "a right start is held no firmer": _best_with(firmness=1.0),
+    "no position prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
     "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
     "prior alike for each start": _best_with(prior_decay=0.0),
     "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
-    "no robust loss": _stages_with(robust_scale=1000.0),
+    "no robust loss": _best_with(robust_scale=1000.0),
     "no resolvability": _best_with(use_resolvability=False),
     "Adam per coordinate": Variant(
-        RefineConfig(learning_rate=ADAM_RATE, coarse_to_fine=replace(BEST, uniform_adam=False))
+        RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, uniform_adam=False))
     ),
     "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
 }
@@ -92,6 +85,24 @@ def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
     if ablation:
         return ABLATION
     return NETWORK if kind == "network" else POINTS
+
+
+def with_prior(variants: Mapping[str, Variant], prior: str) -> dict[str, Variant]:
+    """The ``variants`` with this learned prior, wherever the default preset moves points.
+
+    A variant that has chosen its prior keeps it.
+    """
+
+    def chosen(config: RefineConfig) -> RefineConfig:
+        takes_one = (config.preset, config.mode) == (DEFAULT, "points") and config.prior is None
+        return replace(config, prior=prior) if takes_one else config
+
+    return {
+        name: replace(
+            variant, config=chosen(variant.config), then=variant.then and chosen(variant.then)
+        )
+        for name, variant in variants.items()
+    }
 
 
 def refined(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ... import render
 from ...datasets.splits import read_part
@@ -17,6 +19,7 @@ from ...geometry.points import Array
 from ...io.checkpoints import load_network
 from ...io.meshes import Mesh, find_meshes, read_mesh
 from ...network.model import BaseNetwork, NetworkConfig
+from ...prior.learned import named_prior
 
 SPLIT = Path(__file__).with_name("split.json")
 """Training, validation and test shapes of the shipped network."""
@@ -86,12 +89,6 @@ def shapes_of_part(
     return [Shape(name, meshes[name]) for name in chosen]
 
 
-def shape_type(stem: str) -> str:
-    """The name that variants of one object share: `fg_767_763` and `fg_767_767` are `fg_767`."""
-    parts = stem.split("_")
-    return "_".join(parts[:2]) if parts[0] == "fg" and len(parts) > 2 else stem
-
-
 def see(shape: Shape, settings: render.RenderSettings, seed: int) -> RenderedShape:
     """Render a shape; everything random depends on ``seed`` and the shape's name alone."""
     rng = np.random.default_rng([seed, zlib.crc32(shape.name.encode())])
@@ -115,7 +112,20 @@ def view_aligned_network(checkpoint: Path) -> tuple[BaseNetwork, NetworkConfig]:
 
 def weights_hash(network: BaseNetwork) -> str:
     """Changes when a weight does, and with nothing else in the checkpoint."""
+    return _hash({name: tensor.float().numpy() for name, tensor in network.state_dict().items()})
+
+
+def prior_hash(prior: Path) -> str | None:
+    """Of the weights of a learned prior, "learned" or a file; None for "none".
+
+    Raises InputError if the file is no prior.
+    """
+    found = named_prior(str(prior))
+    return None if found is None else _hash(found.weights)
+
+
+def _hash(weights: Mapping[str, NDArray[Any]]) -> str:
     digest = hashlib.sha256()
-    for name, tensor in sorted(network.state_dict().items()):
-        digest.update(name.encode() + tensor.float().contiguous().numpy().tobytes())
+    for name, array in sorted(weights.items()):
+        digest.update(name.encode() + array.tobytes())
     return digest.hexdigest()[:16]

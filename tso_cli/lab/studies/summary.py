@@ -38,6 +38,11 @@ def ratios_of(cases: Cases, variant: str) -> np.ndarray:
     )
 
 
+def ratio_of_means(cases: Cases, distances: Iterable[float]) -> float:
+    """Mean of ``distances``, one for each case, over the mean Chamfer distance of the starts."""
+    return mean(distances) / mean(case["before"]["chamfer"] for case in cases)
+
+
 def ratio_figures(ratios: np.ndarray) -> Record:
     """Mean, median and worst of Chamfer after / before, and how many cases got worse."""
     return {

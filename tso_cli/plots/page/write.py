@@ -418,14 +418,11 @@ def _shown(value: Any) -> str:
 
 
 def _losses(document: dict[str, Any]) -> str:
-    """The loss after each step as a line; it begins anew with each stage."""
+    """The loss after each step as a line."""
     before, after = document["loss_before"], document["loss_after"]
     losses = [loss for loss in document["losses"] if loss is not None]
     numbers = "not a number" if None in (before, after) else f"{before:.4g} -> {after:.4g}"
-    caption = (
-        f"{numbers}: {document['convention']['loss']}. Where stages change the objective, the line "
-        "jumps; both numbers are by the last one."
-    )
+    caption = f"From start to result {numbers}: {document['convention']['loss']}."
     if len(losses) < 2:
         return f"<p>{text(caption)}</p>"
     low, high = min(0.0, *losses), max(losses)
@@ -436,8 +433,9 @@ def _losses(document: dict[str, Any]) -> str:
     )
     return (
         f'<svg class=chart viewBox="0 0 600 150" role=img preserveAspectRatio=none '
-        f'aria-label="loss of the start and after each of {len(losses) - 1} steps">'
+        f'aria-label="loss where the optimisation begins and after {len(losses) - 1} steps">'
         f'<path d="M0 140H600" class=axis /><polyline points="{line}"/></svg>'
-        f"<p class=ends><span>start</span><span>step {len(losses) - 1}</span></p>"
+        "<p class=ends><span>where the optimisation begins</span>"
+        f"<span>step {len(losses) - 1}</span></p>"
         f"<p class=quiet>{text(caption)}</p>"
     )

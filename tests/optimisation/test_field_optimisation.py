@@ -1,4 +1,4 @@
-"""The default preset: the mean over its stages, the position prior, and unobserved parts."""
+"""The default preset: its displacement field, the position prior, and unobserved parts."""
 
 from dataclasses import replace
 
@@ -9,10 +9,11 @@ from tests.losses.common import assert_gradient
 from tests.scenes import block, problem_of, seen
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.smooth_field import SmoothField
+from tso_cli.optimisation.field_optimisation import optimise_field
+from tso_cli.optimisation.learned_start import Beginning
 from tso_cli.optimisation.objective import MaskChamferObjective, ViewTargets
+from tso_cli.optimisation.position_prior import PositionPrior, position_prior
 from tso_cli.optimisation.presets import BEST, BEST_POINTS
-from tso_cli.optimisation.prior import PositionPrior, position_prior
-from tso_cli.optimisation.stages import CoarseToFine
 from tso_cli.render import look_at
 
 
@@ -29,31 +30,20 @@ def test_points_outside_every_image_hardly_move():
     assert np.abs(moved[~observed]).mean() < 0.15 * moved[observed].mean()
 
 
-def test_the_result_is_the_weighted_mean_of_the_stages(chair):
-    """The weight of the last stage grows with the square of the number of masks."""
-    points, views = (
-        chair.points,
-        [chair.view, seen(chair.points * [1.0, 1.1, 1.0], look_at(90.0, 10.0, 2.0, (64, 64)))],
-    )
-
-    def refined(*weights):
-        stages = tuple(
-            replace(stage, averaging_weight=weight)
-            for stage, weight in zip(BEST.stages, weights, strict=True)
-        )
-        config = replace(BEST, stages=stages, least_prior_weight=0.0)
-        return refine(
-            points, views, config=RefineConfig(steps=24, symmetry="none", coarse_to_fine=config)
-        )
-
-    alone = [refined(*np.eye(3)[stage].clip(1e-12)).points for stage in range(3)]
-    result = refined(1.0, 2.0, 3.0)
-    masks = sum(view.loss_weight for view in result.views)
-    assert masks > 1.9
-    weights = np.array([1.0, 2.0, 3.0 * masks**2])
-    expected = np.einsum("s,snk->nk", weights / weights.sum(), alone)
-    np.testing.assert_allclose(result.points, expected, atol=1e-6)
-    assert np.abs(alone[0] - alone[2]).max() > 1e-3
+@pytest.mark.parametrize("nearer", [True, False])
+def test_the_result_is_where_the_optimisation_began_if_no_step_is_better(chair, nearer):
+    """And the start, where the start agrees better with the views."""
+    problem = problem_of(chair.points, chair.view)
+    start = problem.cloud.start
+    target = problem.cloud.normalise(chair.target)[: len(start)]
+    begun = Beginning(target if nearer else start + [0.5, 0.0, 0.0])
+    field = SmoothField(start)
+    # Such a step moves every point out of the picture.
+    found = optimise_field(problem, [1.0], field, BEST, 1e3, 1, begin=begun)
+    assert found.losses[1] > found.losses[0]
+    np.testing.assert_array_equal(found.best, begun.points if nearer else start)
+    assert (found.best_loss < found.first_loss) == nearer
+    assert found.best_step == 0
 
 
 def test_as_an_observation_a_flipped_mask_counts_a_quarter_and_a_depth_map_as_a_mask(chair):
@@ -90,39 +80,41 @@ def test_views_that_all_truncate_the_object_are_no_more_observations_than_one(ch
     field = SmoothField(problem.cloud.start)
 
     def optimised(observations):
-        # Observations lower the least prior weight, and raise the weight of the last stage.
-        weights, config = [1.0, 1.0], replace(BEST, least_prior_weight=1e4)
-        rate = BEST_POINTS.learning_rate
-        run = CoarseToFine(problem, weights, field, config, rate, observations=observations)
-        return run.run(12)[0]
+        # Observations lower the least prior weight.
+        recipe, rate = replace(BEST, least_prior_weight=1e4), BEST_POINTS.learning_rate
+        return optimise_field(
+            problem, [1.0, 1.0], field, recipe, rate, 12, observations=observations
+        )
 
     one, two = optimised(1.0), optimised(2.0)
-    assert np.array_equal(one.stages, two.stages) == all(truncated)
     assert np.array_equal(one.best, two.best) == all(truncated)
 
 
 def test_an_object_that_every_view_truncates_is_held_three_times_as_much(chair):
     for view, factor in ((_truncated(chair.view), 3.0), (chair.view, 1.0)):
         held, loose = (
-            _prior(chair.points, view, truncated_prior=prior)[0].weights for prior in (3.0, 1.0)
+            _prior(chair.points, view, truncated_prior=prior)[0].weight for prior in (3.0, 1.0)
         )
-        np.testing.assert_allclose(held, factor * loose)
+        assert held == pytest.approx(factor * loose)
 
 
 def _prior(
-    points: np.ndarray, view: View, observations: float = 1.0, **settings: object
+    points: np.ndarray,
+    view: View,
+    observations: float = 1.0,
+    rightness: float = 0.0,
+    **settings: object,
 ) -> tuple[PositionPrior, ViewTargets]:
     problem = problem_of(points, view)
-    start, targets, config = problem.cloud.start, problem.targets([1.0]), replace(BEST, **settings)
-    return position_prior(start, targets, SmoothField(start), config, observations), targets
+    start, targets, recipe = problem.cloud.start, problem.targets([1.0]), replace(BEST, **settings)
+    return position_prior(start, targets, recipe, observations, rightness), targets
 
 
 def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
     prior, _ = _prior(chair.points[::40], chair.view)
     moved = prior.initial + np.random.default_rng(0).normal(size=prior.initial.shape)
-    assert prior(moved)[0] == pytest.approx(
-        (prior.weights * np.square(moved - prior.initial).sum(1)).sum()
-    )
+    squares = np.square(moved - prior.initial).sum()
+    assert prior(moved)[0] == pytest.approx(prior.weight * squares)
     assert_gradient(prior, moved)
     assert prior(prior.initial)[0] == 0.0
 
@@ -130,31 +122,34 @@ def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
 def test_a_worse_start_is_held_less_and_more_observations_lower_the_least_weight(chair):
     points = chair.points
     # Stated for 1,024 points. e is the mean loss per mask pixel at the robust scale 4.
-    prior, targets = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0)
+    prior, targets = _prior(points, chair.view, least_prior_weight=0.0)
     e = MaskChamferObjective(targets, 4.0)(prior.initial)[0] / targets.pixels
-    np.testing.assert_allclose(prior.weights, 300.0 / e * 1024.0 / len(points))
-    half = _prior(points, chair.view, local_prior=False, least_prior_weight=0.0, prior_decay=0.5)[0]
-    np.testing.assert_allclose(half.weights, 300.0 / np.sqrt(e) * 1024.0 / len(points))
+    assert prior.weight == pytest.approx(350.0 / e * 1024.0 / len(points))
+    half = _prior(points, chair.view, least_prior_weight=0.0, prior_decay=0.5)[0]
+    assert half.weight == pytest.approx(350.0 / np.sqrt(e) * 1024.0 / len(points))
     for count in (1.0, 2.0):
-        least = _prior(points, chair.view, count, local_prior=False, least_prior_weight=1e6)[0]
-        np.testing.assert_allclose(least.weights, 1e6 / count**2 * 1024.0 / len(points))
+        least = _prior(points, chair.view, count, least_prior_weight=1e6)[0]
+        assert least.weight == pytest.approx(1e6 / count**2 * 1024.0 / len(points))
     # Even a perfect start is held no more than where e = 0.1.
     square = np.stack(np.meshgrid(np.arange(26, 38, 0.5), np.arange(26, 38, 0.5)), -1).reshape(
         -1, 2
     )
     flat = np.concatenate([(square - 31.5) / 60.0 * [1.0, -1.0], np.zeros((len(square), 1))], 1)
     exact = _prior(flat, View(block(np.s_[26:38, 26:38]), Camera.canonical(64, 64)))[0]
-    np.testing.assert_allclose(exact.weights, 300.0 / 0.1 * 1024.0 / len(flat))
+    assert exact.weight == pytest.approx(350.0 / 0.1 * 1024.0 / len(flat))
 
 
-def test_a_part_that_fits_badly_is_held_less_than_the_rest():
-    """A sheet whose right third lies outside the mask."""
-    x, y = np.meshgrid(np.linspace(-0.3, 0.3, 24), np.linspace(-0.2, 0.2, 16))
-    sheet = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
-    view = View(block(np.s_[19:45, 13:38]), Camera.canonical(64, 64))
-    weights = _prior(sheet, view, least_prior_weight=0.0)[0].weights
-    assert weights[sheet[:, 0] > 0.25].max() < 0.5 * weights[sheet[:, 0] < 0.0].min()
-    assert np.ptp(_prior(sheet, view, least_prior_weight=0.0, local_prior=False)[0].weights) == 0.0
+def test_a_start_that_is_right_is_held_firmly_unless_it_fits_badly(chair):
+    """Far from its mask, most pixels cost nearly the most that they can."""
+    near, far = chair.points + [0.01, 0.0, 0.0], chair.points + [0.6, 0.0, 0.0]
+    view = seen(chair.points, chair.view.camera)
+    for points, factor in ((near, 16.0), (far, 1.0)):
+        loose, half, firm = (
+            _prior(points, view, rightness=right, least_prior_weight=0.0)[0].weight
+            for right in (0.0, 0.5, 1.0)
+        )
+        assert firm == pytest.approx(factor * loose)
+        assert half == pytest.approx(np.sqrt(factor) * loose)
 
 
 def test_parts_that_the_pixels_do_not_resolve_have_no_resolvability():

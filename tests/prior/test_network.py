@@ -1,0 +1,137 @@
+"""Features and network of the learned prior: one text for numpy and torch."""
+
+import numpy as np
+import pytest
+import torch
+
+from tests.prior.common import discs, some_weights
+from tso_cli.prior.backend import NUMPY
+from tso_cli.prior.features import (
+    HALF,
+    MAPS,
+    OF_NODE,
+    OF_VIEW,
+    bernstein,
+    features,
+)
+from tso_cli.prior.network import fused, initial, predict, shapes
+from tso_cli.prior.torch_backend import TORCH
+
+
+def in_torch(values):
+    return [torch.from_numpy(value) for value in values]
+
+
+def test_numpy_and_torch_see_the_same_and_answer_the_same():
+    cloud, *shown = discs()
+    weights = some_weights()
+    given = features(NUMPY, cloud, 128, *shown)
+    same = features(TORCH, torch.from_numpy(cloud), 128, *in_torch(shown))
+    for name, array in vars(given).items():
+        np.testing.assert_allclose(getattr(same, name).numpy(), array, atol=1e-12, err_msg=name)
+    assert given.maps.shape[1] == MAPS
+    assert given.nodes.shape[2] == OF_NODE
+    assert given.view.shape[1] == OF_VIEW
+    answers = predict(NUMPY, weights, given)
+    of_torch = {name: torch.from_numpy(array) for name, array in weights.items()}
+    for answer, other in zip(answers, predict(TORCH, of_torch, same), strict=True):
+        np.testing.assert_allclose(other.numpy(), answer, atol=1e-10)
+        assert np.abs(answer).max() > 0.01
+
+
+def test_the_gradients_of_the_network_are_those_of_finite_differences():
+    cloud, *shown = discs(1, 64, 40)
+    given = features(TORCH, torch.from_numpy(cloud), 8, *in_torch(shown))
+    weights = {name: torch.from_numpy(array) for name, array in some_weights().items()}
+
+    def answer(*changed):
+        answers = predict(TORCH, {**weights, **dict(zip(names, changed, strict=True))}, given)
+        return torch.cat([one[:, :2].flatten() for one in answers])
+
+    names = ["map1.offset", "map3b.offset", "view2.offset", "node1.offset", "moved.offset"]
+    chosen = [weights[name].clone().requires_grad_() for name in names]
+    assert torch.autograd.gradcheck(answer, chosen)
+
+
+def test_a_new_network_moves_nothing():
+    cloud, *shown = discs()
+    weights = {name: array.astype(float) for name, array in initial(0).items()}
+    assert {name: array.shape for name, array in weights.items()} == shapes()
+    displacements, log_weights = predict(NUMPY, weights, features(NUMPY, cloud, 128, *shown))
+    assert not displacements.any()
+    assert not log_weights.any()
+
+
+def test_a_disc_that_is_larger_than_the_cloud_pulls_outward():
+    """The last features of a node: how the mask pulls the points that belong to it."""
+    rng = np.random.default_rng(0)
+    cloud = rng.normal(size=(1, 400, 3))
+    cloud *= 0.2 * rng.uniform(0.2, 1.0, (1, 400, 1)) / np.linalg.norm(cloud, axis=2, keepdims=True)
+    _, closeness, distance, known, _, _ = discs(1)
+    angles = np.linspace(0.0, 2.0 * np.pi, 60)
+    ring = 0.45 * np.stack([np.cos(angles), np.sin(angles)], 1)[None]
+    given = features(NUMPY, cloud, 100, closeness, distance, known, ring, np.ones((1, 60)))
+    pull, cloud = given.nodes[0, :, 11:13], cloud[0, :100]
+    pulled = np.linalg.norm(pull, axis=1) > 1.0
+    assert pulled.sum() > 10
+    outward = (pull * cloud[:, :2]).sum(1)[pulled]
+    assert (outward > 0.0).all()
+    # Cells that are covered pull nothing.
+    covered = cloud[None, :, :2]
+    counted = np.ones(covered.shape[:2])
+    flat = features(NUMPY, cloud[None], 100, 0.0 * closeness, distance, known, covered, counted)
+    assert np.abs(flat.nodes[0, :, 11:14]).max() < 1e-6
+
+
+def test_what_is_seen_beyond_the_maps_is_in_no_map():
+    cloud, closeness, *shown = discs(1)
+    far = cloud.copy()
+    far[:, 0] = [5.0 * HALF, 0.0, 0.0]
+    maps = features(NUMPY, far, 128, closeness, *shown).maps
+    without = features(NUMPY, far[:, 1:], 128, closeness, *shown).maps
+    np.testing.assert_allclose(maps, without)
+
+
+def test_the_lattice_is_a_partition_of_unity():
+    t = np.random.default_rng(0).uniform(0.0, 1.0, (1, 50, 3))
+    np.testing.assert_allclose(bernstein(NUMPY, t).sum(2), 1.0)
+
+
+def test_views_at_right_angles_say_each_what_it_sees():
+    """Each is unsure of its own depth, so the other decides there."""
+    rotations = np.stack([np.eye(3), [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]])[None]
+    truth = np.array([0.1, 0.2, 0.3])
+    displacements = (rotations @ truth)[:, :, None].copy()
+    displacements[..., 2] = 7.0
+    log_weights = np.broadcast_to([0.0, 0.0, -30.0], displacements.shape)
+    found = fused(NUMPY, displacements, log_weights, rotations)
+    np.testing.assert_allclose(found[0, 0], truth, atol=1e-6)
+    alone = fused(NUMPY, displacements[:, :1], log_weights[:, :1], rotations[:, :1])
+    np.testing.assert_allclose(alone[0, 0], [0.1, 0.2, 7.0])
+
+
+@pytest.mark.parametrize("name", ["dilated", "sampled", "convolved", "nearest", "sums", "largest"])
+def test_each_operation_is_the_same_in_numpy_and_torch(name):
+    rng = np.random.default_rng(1)
+    maps, places = rng.normal(size=(2, 3, 9, 9)), rng.uniform(-1.3, 1.3, (2, 20, 2))
+    index, values = rng.integers(0, 7, (2, 20)), rng.normal(size=(2, 20, 4))
+    arguments = {
+        "dilated": (maps,),
+        "sampled": (maps, places),
+        "convolved": (maps, rng.normal(size=(5, 3, 3, 3)), rng.normal(size=5), 2),
+        "nearest": (places, rng.normal(size=(2, 30, 2))),
+        "sums": (index, values, 8),
+        "largest": (index, values[..., 0], 8, -1.5),
+    }[name]
+    tensors = [torch.from_numpy(a) if isinstance(a, np.ndarray) else a for a in arguments]
+    other = getattr(TORCH, name)(*tensors).numpy()
+    np.testing.assert_allclose(getattr(NUMPY, name)(*arguments), other, atol=1e-12)
+
+
+def test_bilinear_samples_are_the_linear_function_that_maps_hold():
+    """Of maps of [-1, 1]^2 with a cell of 2 / 8."""
+    centres = (np.arange(8) + 0.5) / 4.0 - 1.0
+    maps = (2.0 * centres[None, :] + 3.0 * centres[:, None])[None, None]
+    places = np.random.default_rng(2).uniform(-0.8, 0.8, (1, 30, 2))
+    found = NUMPY.sampled(maps, places)[..., 0]
+    np.testing.assert_allclose(found, places @ [2.0, 3.0])

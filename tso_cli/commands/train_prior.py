@@ -1,0 +1,213 @@
+"""`tso train --prior FOLDER`: train the prior that moves a start to a likely shape."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from ..errors import InputError
+from . import options
+from .train_outputs import TrainOutputs
+
+if TYPE_CHECKING:
+    from ..train.prior.shapes import ShapeSet
+    from ..train.prior.state import PriorState
+
+PRIOR_DEFAULTS: dict[str, Any] = {
+    "steps": 3000,
+    "batch_size": 64,
+    "output": Path("prior.safetensors"),
+}
+# Options of the prior alone, and options that both trainings have; all others are the network's.
+OF_PRIOR = ("prior", "scenes", "without", "predicted_by", "predictions")
+OF_BOTH = (
+    "strict", "initial", "steps", "batch_size", "output", "overwrite", "checkpoint_every", "resume",
+    "log_file", "as_json", "device", "seed",
+)  # fmt: skip
+LOSS_STEPS = 100  # the loss that is reported is the mean over this many steps
+LISTED = 10  # meshes that were left out and are named on stderr
+
+
+def check_prior(ctx: click.Context) -> None:
+    """InputError if an option of one training is given with the other."""
+    folder = ctx.params["prior"]
+    for parameter in ctx.command.params:
+        name = parameter.name or ""
+        used = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        if not used or not parameter.expose_value or name in OF_BOTH:
+            continue
+        shown = "DATA" if isinstance(parameter, click.Argument) else parameter.opts[0]
+        if folder is None and name in OF_PRIOR:
+            raise InputError(f"{shown} is for the training of a prior, expected --prior FOLDER")
+        if folder is not None and name not in OF_PRIOR:
+            raise InputError(
+                f"{shown} is for the training of the network, expected it without --prior"
+            )
+        if name == "predictions" and ctx.params["predicted_by"] is None:
+            raise InputError(f"{shown} counts what a network predicts, expected --predicted-by too")
+
+
+def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> None:
+    """Train, write and print; exits with 130 after Ctrl-C."""
+    from .. import device as devices
+    from ..io.reading import name_of
+    from ..prior.file import EXPECTED, read_prior
+    from ..prior.network import initial as random_weights
+    from ..train.prior.bank import build_bank
+    from ..train.prior.config import PriorConfig
+    from ..train.prior.loop import train
+    from ..train.prior.predictions import Predictor, draw_predictions
+    from ..train.prior.shapes import read_shapes
+    from ..train.prior.state import (
+        check_resumable,
+        load_training,
+        new_state,
+        save_training,
+        write_history,
+    )
+
+    started = time.perf_counter()
+    if int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        raise InputError(
+            f"--prior with {os.environ['WORLD_SIZE']} processes, expected one: start it without "
+            "torchrun"
+        )
+    for name, value in PRIOR_DEFAULTS.items():
+        chosen[name] = value if chosen[name] is None else chosen[name]
+    outputs = options.pick(TrainOutputs, chosen)
+    outputs.check()
+    predictor = None
+    if chosen["predicted_by"] is not None:
+        predictor = Predictor.read(chosen["predicted_by"])
+        chosen["predicted_by"] = predictor.name
+    initial = _initial_prior(outputs.resume, chosen["initial"])
+    chosen["initial"] = initial and name_of(initial, EXPECTED)
+    config = options.pick(PriorConfig, chosen)
+    device = devices.resolve(config.device)
+    weights = read_prior(initial)[0] if initial else random_weights(config.seed)
+    if outputs.resume:
+        about_state = check_resumable(outputs.output, config)
+        config = replace(config, initial=about_state["settings"].get("initial"))
+    folder = chosen["prior"]
+    shapes = read_shapes(
+        folder, chosen["without"], chosen["strict"], options.ProgressBar("read meshes")
+    )
+    about = _description(folder, shapes)
+    if outputs.resume:
+        state = load_training(outputs.output, config, weights, shapes.fingerprint(), device)
+        options.log(f"tso: resuming after {state.step} steps")
+    else:
+        state = new_state(weights, shapes.fingerprint(), device)
+    _log_skipped(shapes)
+
+    def save(state: PriorState) -> None:
+        outputs.save(
+            lambda path, overwrite: save_training(path, state, config, about, overwrite),
+            lambda path, overwrite: write_history(path, state, config, about, overwrite),
+        )
+
+    prepared, first_step, stop_reason = time.perf_counter(), state.step, "max_steps"
+    if state.step >= config.steps:
+        save(state)
+    else:
+        predict = None
+        if predictor is not None:
+            predict = partial(
+                draw_predictions,
+                predictor,
+                shapes,
+                count=config.predictions,
+                seed=config.seed,
+                progress=options.ProgressBar("predict starts"),
+            )
+        drawing = options.ProgressBar("draw scenes")
+        bank = build_bank(shapes, config.scenes, config.seed, device, drawing, predict)
+        prepared = time.perf_counter()
+        with options.naming(outputs.output):
+            stop_reason = train(
+                bank,
+                config,
+                state,
+                progress=options.ProgressBar("train"),
+                save=save,
+                save_every=chosen["checkpoint_every"],
+            )
+    seconds = {"prepare": prepared - started, "train": time.perf_counter() - prepared}
+    document = _document(state, shapes, about) | {
+        "output": outputs.output,
+        "stop_reason": stop_reason,
+        "steps_of_this_run": state.step - first_step,
+        "settings": config.settings() | {"device": config.device},
+        "seconds": seconds,
+    }
+    if as_json:
+        options.echo_json(document)
+    else:
+        _print_summary(document)
+    if stop_reason == "interrupted":
+        options.log(
+            f"tso: interrupted after {state.step} of {config.steps} steps; {outputs.output} and "
+            "its state were written. Run the same command with --resume to continue"
+        )
+        ctx.exit(130)
+
+
+def _log_skipped(shapes: ShapeSet) -> None:
+    """Name what was left out on stderr."""
+    for reason in list(shapes.skipped.values())[:LISTED]:
+        options.log(f"tso: {reason}; left out")
+    if len(shapes.skipped) > LISTED:
+        options.log(f"tso: {len(shapes.skipped)} left out in all (--json names all)")
+
+
+def _description(folder: Path, shapes: ShapeSet) -> str:
+    """The meshes in words, such as `meshes: 35 meshes of airplane, chair`."""
+    categories = sorted({shape.category for shape in shapes.shapes})
+    return f"{folder.resolve().name}: {len(shapes.shapes)} meshes of {', '.join(categories)}"
+
+
+def _initial_prior(resume: bool, initial: Path | None) -> Path | None:
+    """The file that the training starts from; None for random weights, or those of a state."""
+    from ..io.shipped import DEFAULT
+    from ..prior.file import shipped_prior
+
+    if initial is not None and resume:
+        raise InputError(
+            "--init with --resume: the state to resume has weights of its own, "
+            "expected one of the two"
+        )
+    return shipped_prior() if str(initial) == DEFAULT else initial
+
+
+def _document(state: PriorState, shapes: ShapeSet, about: str) -> dict[str, Any]:
+    """What the JSON document says about state and shapes."""
+    from ..version import __version__
+
+    losses = state.history[-LOSS_STEPS:]
+    return {
+        "steps": state.step,
+        "loss": sum(losses) / len(losses) if losses else float("nan"),
+        "training_set": about,
+        "categories": dict(sorted(Counter(shape.category for shape in shapes.shapes).items())),
+        "left_out": shapes.skipped,
+        "version": __version__,
+    }
+
+
+def _print_summary(document: dict[str, Any]) -> None:
+    """Print the document for people."""
+    steps, seconds = document["steps"], document["seconds"]["train"]
+    click.echo(
+        f"{document['output']}: {steps} steps in {seconds:.0f} s, {document['training_set']}"
+    )
+    click.echo(
+        f"loss {document['loss']:.3f}, mean of the last {min(LOSS_STEPS, steps)} steps "
+        "(relative to the error of the start; a prior that moves nothing has about 0.9)"
+    )

@@ -1,0 +1,224 @@
+"""What the prior's network is given: a cloud and a mask in the axes of a view.
+
+In the axes of a view x points right, y down and z away from the camera, and the middle of the cloud
+is on the optical axis at z = 0; the cloud's longest side is 1. A point y is seen at
+w = (y_x, y_y) / (1 + u y_z). The closeness u is 1 over the distance of the camera, and 0 where the
+camera is orthographic. So a cloud and a camera that are turned together look the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .backend import Backend
+
+# Maps show the square [-HALF, HALF]^2 of w in GRID x GRID cells.
+GRID, HALF = 40, 0.75
+CELL = 2.0 * HALF / GRID
+# Points that make the maps, and how many of them, the first, are given a displacement. The other
+# points of a cloud follow.
+DENSE, NODES = 512, 128
+# Nodes that a point is interpolated from; the furthest has hardly a weight.
+INTERPOLATED_FROM = 5
+# The box of a cloud leaves out this share of the points on each side: single points far from the
+# rest do not belong to the object.
+LEFT_OUT = 1 / 500
+# Control points along a side of the lattice.
+LATTICE = 4
+# Distances to the mask are known up to this.
+FAR = 0.3
+# A mask's pixel pulls a point that is further away than this.
+COVERED = 0.02
+# The cells of the foreground are counted as if there were this many.
+CELLS = 256.0
+# Where a cell has no point.
+NO_DEPTH = -9.0
+# Numbers of a view, of a node, and of the lattice: the sizes of the network's input.
+MAPS, OF_NODE, OF_LATTICE = 8, 16, 8
+OF_VIEW = 9 + OF_LATTICE * LATTICE**3
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Of B views.
+
+    maps : [B, MAPS, GRID, GRID]. nodes : [B, N, OF_NODE]. view : [B, OF_VIEW].
+    places : [B, N, 2], where the nodes are seen, in [-1, 1] within the maps.
+    basis : [B, N, 64], weights of the lattice's control points at the nodes.
+    """
+
+    maps: Any
+    nodes: Any
+    view: Any
+    places: Any
+    basis: Any
+
+
+def features(
+    backend: Backend,
+    points: Any,
+    nodes: int,
+    closeness: Any,
+    distance: Any,
+    known: Any,
+    cells: Any,
+    counted: Any,
+) -> Features:
+    """The features of clouds and their masks, for numpy or torch.
+
+    Parameters
+    ----------
+    points : [B, M, 3] in the axes of the view; the first ``nodes`` of them are nodes.
+    closeness : [B], u.
+    distance, known : [B, GRID, GRID] signed distance to the mask, positive outside, and 1 where the
+        picture is, 0 beyond its border.
+    cells, counted : [B, K, 2] places w in the foreground, and [B, K] 1 for those that count.
+    """
+    xp = backend.xp
+    w = points[..., :2] / (1.0 + closeness[:, None, None] * points[..., 2:])
+    shown = _maps(backend, points, w, distance, known)
+    low, high = xp.amin(points, 1), xp.amax(points, 1)
+    extent, middle = high - low, (high + low) / 2.0
+
+    y, seen = points[:, :nodes], w[:, :nodes]
+    compared = xp.stack([distance, shown.mismatch, shown.rough], axis=1)
+    here = backend.sampled(compared, seen / HALF)
+    slope = _slope(backend, distance, seen)
+    mean, length, count, share = _pull(backend, points, w, nodes, cells, counted)
+    within = (y - middle[:, None]) / (extent[:, None] / 2.0 + 1e-3)
+    of_nodes = [y * 2.0, within, here * 5.0, slope, mean, length, count, share]
+
+    basis = bernstein(backend, ((within + 1.0) / 2.0).clip(-0.2, 1.2))
+    beyond = here[..., :1].clip(0.0, 0.2)
+    weight, one = count.clip(0.0, 1.5), xp.ones_like(beyond)
+    pulls = [mean * weight, length * weight, count]
+    pulls += [-12.0 * beyond * slope, _indicator(xp, beyond > 0.0, beyond), one]
+    pooled = xp.swapaxes(basis, 1, 2) @ xp.concatenate(pulls, axis=-1) * (NODES / nodes)
+    weighed = pooled[..., :-1] / (pooled[..., -1:] + 0.7)
+    pooled = xp.concatenate([weighed, xp.log1p(pooled[..., -1:].clip(0.0, np.inf))], axis=-1)
+
+    uncovered = (shown.mismatch.clip(0.0, 1.0) * shown.inside).mean((1, 2))
+    outside = _indicator(xp, shown.mismatch < -0.5, known).mean((1, 2))
+    numbers = xp.stack([uncovered * 20.0, outside * 20.0, closeness * 5.0 - 2.0], axis=1)
+    of_view = [extent * 2.0, middle * 4.0, numbers, pooled.reshape(len(points), -1)]
+    maps = [distance.clip(-FAR, FAR) * 5.0, shown.rough * 5.0, shown.inside, shown.closed]
+    maps += [shown.mismatch, known, shown.front * 2.0, shown.back * 2.0]
+    return Features(
+        xp.stack(maps, axis=1),
+        xp.concatenate(of_nodes, axis=-1),
+        xp.concatenate(of_view, axis=-1),
+        seen / HALF,
+        basis,
+    )
+
+
+def bernstein(backend: Backend, t: Any) -> Any:
+    """[B, N, 64]: the cubic Bernstein polynomials at ``t`` [B, N, 3] in a box [0, 1]^3."""
+    xp, s = backend.xp, 1.0 - t
+    cubic = xp.stack([s**3, 3.0 * t * s**2, 3.0 * t**2 * s, t**3], axis=-1)  # [B, N, 3, 4]
+    x, y, z = cubic[:, :, 0], cubic[:, :, 1], cubic[:, :, 2]
+    product = x[..., :, None, None] * y[..., None, :, None] * z[..., None, None, :]
+    return product.reshape(*t.shape[:2], LATTICE**3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Maps:
+    """Maps [B, GRID, GRID] of what a view shows.
+
+    inside : the mask. closed : the cells that the cloud occupies, with gaps closed.
+    mismatch : their difference. rough : signed distance to ``closed``. front, back : the nearest
+        and the farthest depth of the cloud.
+    """
+
+    inside: Any
+    closed: Any
+    mismatch: Any
+    rough: Any
+    front: Any
+    back: Any
+
+
+def _maps(backend: Backend, points: Any, w: Any, distance: Any, known: Any) -> _Maps:
+    xp = backend.xp
+    cell = xp.floor((w + HALF) / CELL)
+    within = ((cell >= 0) & (cell < GRID)).all(-1)
+    index = cell[..., 1] * GRID + cell[..., 0]
+    # What is seen beyond the maps falls into a cell of its own.
+    index = backend.whole(xp.where(within, index, xp.full_like(index, GRID * GRID)))
+
+    def most(depth: Any) -> Any:
+        """The largest depth in a cell and its neighbours, so that gaps have a depth too."""
+        found = backend.largest(index, depth, GRID * GRID + 1, NO_DEPTH)[:, :-1]
+        return backend.dilated(found.reshape(len(points), 1, GRID, GRID))
+
+    back, front = most(points[..., 2]), -most(-points[..., 2])
+    closed = -backend.dilated(-_indicator(xp, back > NO_DEPTH, back))
+    inside = 1.0 / (1.0 + xp.exp((distance / (0.35 * CELL)).clip(-40.0, 40.0)))
+    front, back = (xp.where(closed > 0.0, depth, 0.0 * depth)[:, 0] for depth in (front, back))
+    mismatch = (inside - closed[:, 0]) * known
+    return _Maps(inside, closed[:, 0], mismatch, _rough_distance(backend, closed), front, back)
+
+
+def _rough_distance(backend: Backend, closed: Any) -> Any:
+    """[B, GRID, GRID] signed distance to cells [B, 1, GRID, GRID], by dilation at half the size."""
+    xp, half = backend.xp, GRID // 2
+    halved = closed.reshape(len(closed), 1, half, 2, half, 2).mean((3, 5))
+    inside = _indicator(xp, halved > 0.3, halved)
+    outside, steps = 1.0 - inside, 0.0 * inside
+    for _ in range(round(FAR / (2.0 * CELL))):
+        steps = steps + (1.0 - inside) - (1.0 - outside)
+        inside, outside = backend.dilated(inside), backend.dilated(outside)
+    distance = steps[:, 0] * (2.0 * CELL)
+    four = xp.stack([xp.stack([distance, distance], axis=-1)] * 2, axis=2)
+    return four.reshape(len(closed), GRID, GRID)
+
+
+def _slope(backend: Backend, distance: Any, places: Any) -> Any:
+    """[B, N, 2]: the gradient of the ``distance`` [B, GRID, GRID] at ``places`` w."""
+    xp = backend.xp
+    differences = []
+    for step in ((CELL, 0.0), (0.0, CELL)):
+        shift = backend.constant(np.array(step), places)
+        ahead, behind = (
+            backend.sampled(distance[:, None], (places + sign * shift) / HALF)
+            for sign in (1.0, -1.0)
+        )
+        differences.append((ahead - behind) / (2.0 * CELL))
+    return xp.concatenate(differences, axis=-1)
+
+
+def _pull(
+    backend: Backend, points: Any, w: Any, nodes: int, cells: Any, counted: Any
+) -> tuple[Any, Any, Any, Any]:
+    """How the foreground pulls the points that each node owns.
+
+    Each cell pulls the point that is seen nearest to it, and a point belongs to its nearest node.
+
+    Returns
+    -------
+    For each node [B, N, .]: the mean pull (2), its mean length (1), the logarithm of how many cells
+    pull (1), and the share of all cells that pull (1).
+    """
+    xp = backend.xp
+    owner = backend.nearest(points, points[:, :nodes])
+    point = backend.nearest(cells, w)
+    offset = cells - backend.rows(w, point)
+    length = xp.sqrt((offset**2).sum(-1, keepdims=True) + 1e-12)
+    weight = counted[..., None] * (length - COVERED).clip(0.0, np.inf) / length
+    of_cells = xp.concatenate([offset * weight, length * weight, weight], axis=-1)
+    node = backend.rows(owner[..., None], point)[..., 0]
+    summed = backend.sums(node, of_cells, nodes)
+    number = counted.sum(1)[:, None, None] + 1.0
+    summed = summed * (CELLS / number)
+    mean = 12.0 * summed[..., :3] / (summed[..., 3:] + 0.3)
+    count = xp.log1p(0.5 * summed[..., 3:])
+    share = 3.0 * weight.sum(1, keepdims=True) / number
+    return mean[..., :2], mean[..., 2:], count, share + 0.0 * count
+
+
+def _indicator(xp: Any, condition: Any, like: Any) -> Any:
+    """1 where a condition holds, else 0, of the type of ``like``."""
+    return xp.where(condition, xp.ones_like(like), xp.zeros_like(like))

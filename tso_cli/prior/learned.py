@@ -1,0 +1,192 @@
+"""The learned prior: how a cloud moves to the shape that masks show, by what shapes are like."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from ..cloud.smooth_field import falling_weights
+from ..errors import InputError
+from ..geometry.arrays import Array, Indices
+from ..io.shipped import LEARNED, NO_PRIOR
+from ..losses.nearest import nearest_few
+from .backend import NUMPY
+from .features import DENSE, INTERPOLATED_FROM, NODES, features
+from .file import read_prior, shipped_prior
+from .network import Weights, fused, predict
+from .view import Frame, Shown
+
+# Samples of a cloud whose answers are averaged. With one, a third of a displacement is chance.
+SAMPLES = 2
+# Cells along each side of the cube whose curve orders a cloud.
+CURVE = 1 << 10
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedPrior:
+    """A trained network.
+
+    It runs in double precision: single precision differs between processors in the fourth digit.
+    """
+
+    weights: Weights
+
+    @classmethod
+    def read(cls, path: Path) -> LearnedPrior:
+        """From a file; InputError as `read_prior`."""
+        return cls(read_prior(path)[0])
+
+
+def named_prior(name: str) -> LearnedPrior | None:
+    """The prior of a name: "learned", "none" or a file; InputError as `read_prior`."""
+    if name == NO_PRIOR:
+        return None
+    if name != LEARNED and not (name and Path(name).exists()):
+        raise InputError(
+            f"{name or 'a prior without a name'}: does not exist, expected a learned prior: "
+            f"{LEARNED}, {NO_PRIOR} or a file that tso train has written"
+        )
+    return LearnedPrior.read(shipped_prior() if name == LEARNED else Path(name))
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a prior answers.
+
+    displacements : [N, 3]. sureness : the mean logarithm of the weights along the lines of sight,
+        over points and views; low where the depth is hard to guess.
+    """
+
+    displacements: Array
+    sureness: float
+
+
+@dataclass(frozen=True, eq=False)
+class SeenCloud:
+    """A cloud ``start`` [N, 3] and what ``views`` show of it, in the frame of the cloud."""
+
+    start: Array
+    frame: Frame
+    views: Sequence[Shown]
+
+    @cached_property
+    def _samples(self) -> list[list[_Sample]]:
+        """Of each view."""
+        return [_samples(self.start @ view.rotation.T) for view in self.views]
+
+    def ask(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Answer | None:
+        """How ``points`` [N, 3], where the start has got to, should move.
+
+        None where the time is over before all views have been asked (`time.perf_counter`), or where
+        the answer is not finite.
+        """
+        framed = (points - self.frame.centre) / self.frame.scale
+        of_views = []
+        for view, samples in zip(self.views, self._samples, strict=True):
+            if time.perf_counter() > until:
+                return None
+            of_views.append(_answer(prior, framed @ view.rotation.T, view, samples))
+        displacements, log_weights = (np.stack(part)[None] for part in zip(*of_views, strict=True))
+        rotations = np.stack([view.rotation for view in self.views])[None]
+        weighed = log_weights + np.log([view.weight for view in self.views])[:, None, None]
+        moves: Array = self.frame.scale * fused(NUMPY, displacements, weighed, rotations)[0]
+        sureness = float(log_weights[..., 2].mean())
+        return Answer(moves, sureness) if np.isfinite(moves).all() else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """A part of a cloud [N, 3] that the network is given.
+
+    chosen : [M], up to `DENSE` points, the first `NODES` of them the nodes.
+    index, share : [N, K], the nodes that each point is interpolated from, and their weights.
+    """
+
+    chosen: Indices
+    index: Indices
+    share: Array
+
+    @classmethod
+    def of(cls, points: Array, along: Indices, shift: float) -> _Sample:
+        """Every k-th of the ``points`` in their order ``along`` a curve, from a ``shift`` on.
+
+        The sample keeps the density of the cloud: evenly spread points would give single points and
+        sparse parts too large a share.
+        """
+        dense = along[_every(len(along), DENSE, shift)]
+        first = _every(len(dense), NODES, shift)
+        chosen = np.concatenate([dense[first], np.delete(dense, first)])
+        nodes = points[chosen[:NODES]]
+        index = nearest_few(points, nodes, min(INTERPOLATED_FROM, len(nodes)))
+        distance = np.linalg.norm(points[:, None] - nodes[index], axis=2)
+        return cls(chosen, index, falling_weights(distance))
+
+    def spread(self, of_nodes: Array) -> Array:
+        """[N, 3], of all points."""
+        spread: Array = np.einsum("nk,nkc->nc", self.share, of_nodes[self.index])
+        return spread
+
+
+def _samples(points: Array) -> list[_Sample]:
+    """Of ``points`` [N, 3] in the axes of a view, so that the axes of the cloud do not matter."""
+    along = _along_curve(points)
+    return [_Sample.of(points, along, (number + 0.5) / SAMPLES) for number in range(SAMPLES)]
+
+
+def _answer(
+    prior: LearnedPrior, points: Array, view: Shown, samples: Sequence[_Sample]
+) -> tuple[Array, Array]:
+    """What the ``prior`` answers in a view, the mean over ``samples`` of the points.
+
+    Returns
+    -------
+    [N, 3] displacements of the ``points`` [N, 3], and logarithms of weights, in the view's axes.
+    """
+    dense = points[np.stack([sample.chosen for sample in samples])]
+
+    def alike(array: Array) -> Array:
+        return np.broadcast_to(array, (len(dense), *array.shape))
+
+    given = features(
+        NUMPY,
+        dense,
+        min(NODES, dense.shape[1]),
+        np.full(len(dense), view.closeness),
+        alike(view.distance),
+        alike(view.known),
+        alike(view.cells),
+        np.ones((len(dense), len(view.cells))),
+    )
+    displacements, log_weights = (
+        np.mean([sample.spread(one) for sample, one in zip(samples, each, strict=True)], axis=0)
+        for each in predict(NUMPY, prior.weights, given)
+    )
+    return displacements, log_weights
+
+
+def _every(total: int, count: int, shift: float) -> Indices:
+    """[count] or fewer whole numbers under ``total``, evenly spaced."""
+    count = min(count, total)
+    chosen: Indices = ((np.arange(count) + shift) * total / count).astype(np.int64)
+    return chosen
+
+
+def _along_curve(points: Array) -> Indices:
+    """[N]: the points in the order of a curve that fills space (Morton, 1966).
+
+    Every k-th of them is a k-th of each part of the cloud.
+    """
+    low = points.min(0)
+    side = float((points.max(0) - low).max()) or 1.0
+    cell = np.minimum((points - low) / side * CURVE, CURVE - 1).astype(np.int64)
+    code = np.zeros(len(points), np.int64)
+    for bit in range(CURVE.bit_length() - 1):
+        for axis in range(3):
+            code |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")

@@ -1,0 +1,1 @@
+"""Training the prior that moves a start to a likely shape."""

@@ -1,0 +1,66 @@
+"""The settings of the training of a prior."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ...errors import InputError
+
+# Numbers of the optimiser, as the shipped prior was trained with.
+LEARNING_RATE = 1.2e-3  # the highest one; it falls to 0 along half a cosine
+RISING_STEPS = 100  # over these the rate rises, or over a tenth of a short training
+WEIGHT_DECAY = 0.02
+LONGEST_GRADIENT = 1.0  # a longer gradient is shortened to this length
+AVERAGING = 0.999  # decay of the running mean of the weights, which is saved
+# Settings that a training without predictions does not have.
+OF_PREDICTIONS = ("predicted_by", "predictions")
+
+
+@dataclass(frozen=True)
+class PriorConfig:
+    """The settings of one training; InputError for a setting out of range.
+
+    Parameters
+    ----------
+    steps : optimiser steps in all; the learning rate is 0 after the last.
+    batch_size : starts in a step.
+    scenes : scenes that are drawn before the training.
+    predicted_by : name of the network whose predictions are starts too (`Predictor.name`); None
+        for no such starts.
+    predictions : the most predictions that are drawn before the training.
+    initial : name of the prior whose weights the training starts from (`io.reading.name_of`); None
+        for random weights.
+    seed : seed of the weights and of every draw. A run depends on the seed, the shapes and the
+        device alone.
+    """
+
+    steps: int = 3000
+    batch_size: int = 64
+    scenes: int = 8000
+    predicted_by: str | None = None
+    predictions: int = 1600
+    initial: str | None = None
+    seed: int = 0
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "batch_size", "scenes", "predictions"):
+            if getattr(self, name) < 1:
+                raise InputError(f"`{name}` is {getattr(self, name)}, expected 1 or more")
+
+    def settings(self) -> dict[str, int | str]:
+        """What a resumed run must have in common with the run that it continues.
+
+        A run that is being resumed does not know `initial` itself: the file that it resumes does.
+        """
+        of_predictions = OF_PREDICTIONS if self.predicted_by else ()
+        of_initial = ("initial",) if self.initial else ()
+        names = ("steps", "batch_size", "scenes", "seed", *of_predictions, *of_initial)
+        return {name: getattr(self, name) for name in names}
+
+    def learning_rate(self, step: int) -> float:
+        """The rate of ``step``, which counts from 0."""
+        rising = max(1, min(RISING_STEPS, self.steps // 10))
+        falling = (1.0 + math.cos(math.pi * step / self.steps)) / 2.0
+        return LEARNING_RATE * min(1.0, (step + 1) / rising) * falling

@@ -1,0 +1,178 @@
+"""The shapes that a prior learns from: meshes of categories, normalised and sampled."""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections import Counter
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...datasets.variants import shape_type
+from ...errors import InputError
+from ...geometry.arrays import Array, Floats
+from ...geometry.points import sample_surface
+from ...io.meshes import find_meshes, read_mesh
+from ...kernels.points_numba import farthest_points
+from ...render import normalise
+
+Progress = Callable[[int, int, str], None]
+
+POINTS = 512  # of one sampling: what the network sees of a cloud
+# Points that one sampling is chosen from. The more, the more evenly spread is the sampling.
+CANDIDATES = 2500
+# Larger meshes take long to draw, and their details are finer than a mask shows.
+MOST_FACES = 150_000
+UPRIGHT_AXES = (0, 2)  # y is up: a mirror plane that is upright has its normal along x or z
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A mesh with longest side 1, centred on its bounding box.
+
+    category : the folder of the mesh.
+    kind : the name that its variants share, with the category.
+    samplings : [2, POINTS, 3], evenly spread; the first k points of each are evenly spread too.
+    mirror_axis : 0 (x) or 2 (z), the axis along which the shape resembles its mirror image more.
+    """
+
+    name: str
+    category: str
+    kind: str
+    vertices: Floats  # [V, 3]
+    faces: NDArray[np.int32]  # [F, 3]
+    samplings: Floats
+    mirror_axis: int
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeSet:
+    """Shapes of categories with at least two kinds each, and what was left out (name -> why)."""
+
+    shapes: list[Shape]
+    skipped: dict[str, str] = field(default_factory=dict)
+
+    def chances(self) -> Array:
+        """The chance [S] of every shape to be drawn; the sum is 1.
+
+        A category counts by the square root of its number of kinds, so that a large category
+        neither drowns the others nor is seen as rarely. The kinds of a category, and the
+        variants of a kind, have equal chances.
+        """
+        variants = Counter(shape.kind for shape in self.shapes)
+        kinds = Counter({shape.kind: shape.category for shape in self.shapes}.values())
+        weights = [kinds[shape.category] ** -0.5 / variants[shape.kind] for shape in self.shapes]
+        return np.array(weights) / sum(weights)
+
+    def fingerprint(self) -> str:
+        """Changes when a shape does."""
+        digest = hashlib.sha256()
+        for shape in self.shapes:
+            digest.update(f"{shape.name} {shape.kind} {shape.mirror_axis}".encode())
+            for array in (shape.vertices, shape.faces, shape.samplings):
+                digest.update(array.tobytes())
+        return digest.hexdigest()[:16]
+
+
+def read_shapes(
+    folder: Path,
+    without: Collection[str] = (),
+    strict: bool = False,
+    progress: Progress | None = None,
+) -> ShapeSet:
+    """The meshes FOLDER/CATEGORY/NAME; meshes right in ``folder`` are one category of its name.
+
+    Left out are categories in ``without``, meshes that cannot be read (an InputError with
+    ``strict``), meshes of over MOST_FACES faces, and categories with a single kind of object.
+
+    Raises InputError if no category with two kinds is left, or one of ``without`` is not there.
+    """
+    paths: dict[Path, str] = {}
+    inside: dict[Path, Path] = {}  # below the folder of the category
+    for path in find_meshes(folder):
+        parts = path.relative_to(folder).parts
+        paths[path] = parts[0] if len(parts) > 1 else folder.resolve().name
+        inside[path] = Path(*parts[1:]) if len(parts) > 1 else Path(path.name)
+    stems = Counter((category, path.stem) for path, category in paths.items())
+    known = sorted(set(paths.values()))
+    if unknown := [name for name in without if name not in known]:
+        raise InputError(
+            f"{folder}: has no category {unknown[0]!r} to leave out, "
+            f"expected one of {', '.join(known)}"
+        )
+    paths = {path: category for path, category in paths.items() if category not in without}
+    shapes, skipped = [], {}
+    for number, (path, category) in enumerate(paths.items(), 1):
+        # In some collections all meshes have one name, each in a folder of its own.
+        repeated = stems[category, path.stem] > 1
+        name = inside[path].with_suffix("").as_posix() if repeated else path.stem
+        try:
+            shapes.append(_read_shape(path, name, category))
+        except InputError as error:
+            if strict:
+                raise
+            skipped[str(path)] = str(error)
+        if progress:
+            progress(number, len(paths), "")
+    kinds = Counter({shape.kind: shape.category for shape in shapes}.values())
+    for category in sorted({*paths.values()} - {name for name in kinds if kinds[name] > 1}):
+        skipped[category] = (
+            f"{folder}: has {kinds[category]} usable objects of the category {category!r}, "
+            "expected 2 at least (variants of one object count once)"
+        )
+    shapes = [shape for shape in shapes if kinds[shape.category] > 1]
+    if not shapes:
+        why = next(iter(skipped.values()), f"{folder}: all categories are left out")
+        raise InputError(
+            f"{folder}: no category can be learned from; the first reason: {why}; "
+            "expected FOLDER/CATEGORY/NAME with two meshes of one category at least"
+        )
+    return ShapeSet(shapes, skipped)
+
+
+def _read_shape(path: Path, inside: str, category: str) -> Shape:
+    """The shape of one file, named ``inside`` its category; InputError if it cannot be used."""
+    mesh = read_mesh(path, textures=False)
+    if len(mesh.faces) > MOST_FACES:
+        raise InputError(
+            f"{path}: has {len(mesh.faces):,} faces, expected at most {MOST_FACES:,}; simplify it"
+        )
+    mesh = normalise(mesh)
+    name = f"{category}/{inside}"
+    rng = np.random.default_rng([0, zlib.crc32(name.encode())])
+    samplings = np.stack([evenly_spread(mesh.vertices, mesh.faces, rng) for _ in range(2)])
+    return Shape(
+        name,
+        category,
+        f"{category}/{shape_type(inside)}",
+        mesh.vertices.astype(np.float32),
+        mesh.faces.astype(np.int32),
+        samplings,
+        mirror_axis(samplings[0]),
+    )
+
+
+def evenly_spread(vertices: NDArray[Any], faces: NDArray[Any], rng: np.random.Generator) -> Floats:
+    """Points [POINTS, 3] of the surface, in the order of farthest-point sampling."""
+    candidates = sample_surface(vertices, faces, CANDIDATES, rng)
+    chosen = np.empty(POINTS, np.int64)
+    farthest_points(candidates, chosen)
+    return candidates[chosen].astype(np.float32)
+
+
+def mirror_axis(points: Floats) -> int:
+    """The axis, x or z, along which the centred ``points`` resemble their mirror image more."""
+    few = points[:128]
+
+    def difference(axis: int) -> float:
+        image = few.copy()
+        image[:, axis] *= -1.0
+        squared = np.square(few[:, None] - image[None]).sum(2)
+        return float(squared.min(0).mean() + squared.min(1).mean())
+
+    return min(UPRIGHT_AXES, key=difference)
