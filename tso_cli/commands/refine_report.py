@@ -286,9 +286,11 @@ class RefineReport:
         return f"{summary}, corrected: {turned}, shifted by {100.0 * shift:.1f} % of its distance"
 
     def _prior(self) -> str | None:
-        prior, share = self.result.settings.prior, self.result.fit.moved_by_prior
-        if prior == NO_PRIOR or not self.result.fit.steps:
+        prior, fit = self.result.settings.prior, self.result.fit
+        if prior == NO_PRIOR or not fit.steps:
             return None
+        # Where the result is the start, what the prior asked for has been undone.
+        share = fit.moved_by_prior if fit.outcome == "moved" else 0.0
         name = "learned prior" if prior == LEARNED else f"prior {prior}"
         return f"{name} (moved {f'{100.0 * share:.1f} %' if share else 'nothing'})"
 

@@ -44,12 +44,13 @@ def write_prior(path: Path, weights: Arrays, about: dict[str, Any], overwrite: b
     write_file(path, packed_prior(weights, about), overwrite)
 
 
-def read_prior(path: Path) -> tuple[Arrays, dict[str, Any]]:
+def read_prior(path: Path, expected: str = EXPECTED) -> tuple[Arrays, dict[str, Any]]:
     """The weights of a prior, float64, and what is known about it.
 
-    Raises InputError if the file is none that `write_prior` has written.
+    Raises InputError if the file is none that `write_prior` has written. Where there is no file to
+    be read the message says what is ``expected``.
     """
-    return _parsed(path, read_bytes(path, EXPECTED, limit=LARGEST))
+    return _parsed(path, read_bytes(path, expected, limit=LARGEST))
 
 
 @functools.lru_cache(maxsize=2)

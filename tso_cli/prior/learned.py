@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from ..cloud.smooth_field import falling_weights
-from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..io.shipped import LEARNED, NO_PRIOR
 from ..losses.nearest import nearest_few
 from .backend import NUMPY
 from .features import DENSE, INTERPOLATED_FROM, NODES, features
-from .file import read_prior, shipped_prior
+from .file import EXPECTED, read_prior, shipped_prior
 from .network import Weights, fused, predict
 from .view import Frame, Shown
 
@@ -38,21 +37,17 @@ class LearnedPrior:
     weights: Weights
 
     @classmethod
-    def read(cls, path: Path) -> LearnedPrior:
+    def read(cls, path: Path, expected: str = EXPECTED) -> LearnedPrior:
         """From a file; InputError as `read_prior`."""
-        return cls(read_prior(path)[0])
+        return cls(read_prior(path, expected)[0])
 
 
 def named_prior(name: str) -> LearnedPrior | None:
     """The prior of a name: "learned", "none" or a file; InputError as `read_prior`."""
     if name == NO_PRIOR:
         return None
-    if name != LEARNED and not (name and Path(name).exists()):
-        raise InputError(
-            f"{name or 'a prior without a name'}: does not exist, expected a learned prior: "
-            f"{LEARNED}, {NO_PRIOR} or a file that tso train has written"
-        )
-    return LearnedPrior.read(shipped_prior() if name == LEARNED else Path(name))
+    path = shipped_prior() if name == LEARNED else Path(name)
+    return LearnedPrior.read(path, f"{EXPECTED}, or one of the words {LEARNED} and {NO_PRIOR}")
 
 
 @dataclass(frozen=True, eq=False)

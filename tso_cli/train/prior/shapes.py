@@ -93,11 +93,9 @@ def read_shapes(
     Raises InputError if no category with two kinds is left, or one of ``without`` is not there.
     """
     paths: dict[Path, str] = {}
-    inside: dict[Path, Path] = {}  # below the folder of the category
     for path in find_meshes(folder):
-        parts = path.relative_to(folder).parts
-        paths[path] = parts[0] if len(parts) > 1 else folder.resolve().name
-        inside[path] = Path(*parts[1:]) if len(parts) > 1 else Path(path.name)
+        inside = path.relative_to(folder).parts
+        paths[path] = inside[0] if len(inside) > 1 else folder.resolve().name
     stems = Counter((category, path.stem) for path, category in paths.items())
     known = sorted(set(paths.values()))
     if unknown := [name for name in without if name not in known]:
@@ -109,8 +107,9 @@ def read_shapes(
     shapes, skipped = [], {}
     for number, (path, category) in enumerate(paths.items(), 1):
         # In some collections all meshes have one name, each in a folder of its own.
-        repeated = stems[category, path.stem] > 1
-        name = inside[path].with_suffix("").as_posix() if repeated else path.stem
+        name = path.stem
+        if stems[category, name] > 1:
+            name = "/".join(path.with_suffix("").relative_to(folder).parts[1:]) or name
         try:
             shapes.append(_read_shape(path, name, category))
         except InputError as error:
