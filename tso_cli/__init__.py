@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .geometry.view import View
     from .io.clouds import PointCloud
     from .optimisation.presets import Mode, Preset
-    from .pose import FittedCamera, fit_camera
+    from .pose.fit import FittedCamera, fit_camera
     from .refinement import RefineConfig, RefineResult, refine, refine_batch, refine_each
     from .train.mask_loss import MaskLoss
 
@@ -34,7 +34,7 @@ _WHERE = {
     "Camera": "geometry.camera",
     "Chamfer": "evaluation.metrics",
     "FScore": "evaluation.metrics",
-    "FittedCamera": "pose",
+    "FittedCamera": "pose.fit",
     "MaskLoss": "train.mask_loss",
     "Mode": "optimisation.presets",
     "PointCloud": "io.clouds",
@@ -42,7 +42,7 @@ _WHERE = {
     "chamfer": "evaluation.metrics",
     "emd": "evaluation.metrics",
     "f_score": "evaluation.metrics",
-    "fit_camera": "pose",
+    "fit_camera": "pose.fit",
     "iou": "evaluation.metrics",
     "draw_overlay": "files",
     "read_camera": "files",

@@ -281,7 +281,7 @@ def test_a_refused_displacement_can_be_accepted(moved):
         (
             {},
             Trust("doubtful", 0.43, "camera", REASONS["camera"]),
-            f"the result is doubtful (confidence 0.43): {REASONS['camera']} (--refine-camera)",
+            f"the result is doubtful (confidence 0.43): {REASONS['camera']} (--move camera)",
         ),
         (
             {},
@@ -340,7 +340,7 @@ def test_a_confidence_is_rounded_down_so_that_a_half_is_not_doubtful(confidence,
 def test_every_reason_of_the_model_has_words(moved):
     for group, says in REASONS.items():
         result = changed(moved, trust=Trust("doubtful", 0.3, group, says))
-        hint = " (--refine-camera)" if group == "camera" else ""
+        hint = " (--move camera)" if group == "camera" else ""
         assert ONE.reason(result) == says + hint
 
 

@@ -25,6 +25,7 @@ from tso_cli.diagnosis.verification import verify_plane
 from tso_cli.optimisation.learned_start import beginning
 from tso_cli.optimisation.optimise import optimise, weigh
 from tso_cli.optimisation.problem import prepare
+from tso_cli.pose.move import unmoved
 from tso_cli.prior import named_prior
 from tso_cli.refinement.judge import judge
 from tso_cli.refinement.result import RefineResult
@@ -270,7 +271,8 @@ def _judged(diagnosis: Diagnosis) -> RefineResult:
     prior = named_prior(settings.prior)
     begin = beginning(verified, weighed.weights.loss, weighed.field, prior)
     optimised, problem = optimise(weighed, settings, settings.steps, begin=begin)
-    return judge(weighed, problem, optimised, scene.views, diagnosis, settings, seconds={})
+    still = unmoved(scene.views)
+    return judge(weighed, problem, optimised, scene.views, still, diagnosis, settings, seconds={})
 
 
 def test_a_displacement_of_little_confidence_is_taken_in_part():

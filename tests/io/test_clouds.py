@@ -213,7 +213,7 @@ def test_of_gaussian_splats_only_the_places_move_and_a_warning_says_so(save, tmp
     head = HEAD.format(2).replace("end_header", more + "end_header")
     cloud = read_cloud(save("splat.ply", head + "0 0 0 1 2 3 4 5 6\n1 1 1 6 5 4 3 2 1\n"))
     with pytest.warns(
-        UserWarning, match=r"b\.ply: the rotations, scales are those of .*splat\.ply"
+        UserWarning, match=r"b\.ply: the rotations and scales are those of .*splat\.ply"
     ):
         write_cloud(tmp_path / "b.ply", cloud.points + 1.0, like=cloud)
     assert b" 1 2 3 4 5 6\n" in (tmp_path / "b.ply").read_bytes()

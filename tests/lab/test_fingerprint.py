@@ -16,7 +16,8 @@ from tso_cli.kernels.dispatch import decided
 from tso_cli.lab.commands.records import earlier_record, write_record
 from tso_cli.lab.studies import fingerprint
 from tso_cli.lab.studies.fingerprint import PARTS, differences, today
-from tso_cli.optimisation import camera_correction, presets
+from tso_cli.optimisation import presets
+from tso_cli.pose import search
 from tso_cli.render import rays
 from tso_cli.silhouette import affinity, bce
 from tso_cli.train import losses
@@ -45,7 +46,7 @@ CHANGES = {
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
     "network modes, paper": partial(faster_latent, "paper"),
     "network modes, best": partial(faster_latent, "best"),
-    "camera fit": lambda patch: patch.setattr(camera_correction, "MISFIT_LEFT", 0.0),
+    "camera fit": lambda patch: patch.setattr(search, "EXACT", 2.0),
     "training": lambda patch: patch.setattr(
         losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)
     ),

@@ -22,7 +22,7 @@ def test_the_first_answer_counts_and_so_does_the_nearest_of_all():
         for angle in (40.0, 5.0)
     )
     focal, cloud = float(true.K[0, 0]), np.zeros((1, 3))
-    alternatives = (Alternative(second, 0.8, 90.0),)
+    alternatives = (Alternative(second, 0.8, 0.4, 90.0),)
     fitted = FittedCamera(first, 0.9, 0.1, alternatives, (focal / 2, focal * 2))
     names = ("other", "car", "car/a", 0, "car/b")
     case = Case(*names, cloud, cloud, cloud, (View(np.eye(64), true),), 0.0)

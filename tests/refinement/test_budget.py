@@ -45,8 +45,8 @@ def test_with_more_seconds_than_it_needs_a_result_is_that_without(chair, seconds
     assert limited.fit.stop_reason == "max_steps"
 
 
-def test_seconds_end_the_preset_paper_and_the_correction_of_cameras_too(chair):
-    config = RefineConfig(budget=1e-6, preset="paper", refine_camera=True)
+def test_seconds_end_the_preset_paper_too(chair):
+    config = RefineConfig(budget=1e-6, preset="paper")
     result = refine(*chair[:3], config)
     assert result.fit.steps == 1
     assert result.fit.stop_reason == "out_of_time"

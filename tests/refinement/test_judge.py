@@ -16,6 +16,7 @@ from tso_cli.optimisation.loop import Optimised
 from tso_cli.optimisation.optimise import optimise, weigh
 from tso_cli.optimisation.problem import prepare
 from tso_cli.optimisation.view_weights import ViewWeights
+from tso_cli.pose.move import unmoved
 from tso_cli.prior import named_prior
 from tso_cli.refinement.clock import Clock
 from tso_cli.refinement.judge import judge
@@ -34,7 +35,7 @@ def _judged(points, view, displacements=0.0, symmetry=None, settings=None, **par
     settings = settings or RefineConfig(steps=1).settings()
     diagnosis = Diagnosis(placements=())
     weighed = weigh(problem, settings)
-    return judge(weighed, problem, optimised, [view], diagnosis, settings, {})
+    return judge(weighed, problem, optimised, [view], unmoved([view]), diagnosis, settings, {})
 
 
 def _square(middle, step=1.0):
@@ -144,7 +145,7 @@ def _of(optimised, view, accept_doubtful=False, **changed):
     weighed, settings, diagnosis, found, problem = optimised
     settings = replace(settings, accept_doubtful=accept_doubtful)
     diagnosis = replace(diagnosis, **changed)
-    return judge(weighed, problem, found, [view], diagnosis, settings, {})
+    return judge(weighed, problem, found, [view], unmoved([view]), diagnosis, settings, {})
 
 
 @pytest.mark.parametrize(
@@ -202,7 +203,7 @@ def test_for_a_cloud_that_covers_its_mask_there_is_nothing_to_do():
 
 @pytest.mark.parametrize("preset", ["best", "paper"])
 def test_ctrl_c_before_the_optimisation_leaves_the_cloud_as_it_was(chair, preset):
-    settings = RefineConfig(preset=preset, refine_camera=True).settings()
+    settings = RefineConfig(preset=preset, move="camera").settings()
     result = run(as_scene(chair.points, chair.view), settings, Clock(interrupted=True))
     assert result.fit.stop_reason == "interrupted"
     assert result.fit.steps == 0

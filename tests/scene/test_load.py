@@ -103,7 +103,7 @@ def test_files_that_do_not_belong_to_the_masks_are_refused(folder, files, messag
 def fitted():
     """The chair's scene, whose camera is fitted to the true cloud and the mask."""
     chair = FOLDER / "chair"
-    return load_points_scene(chair / "target.ply", chair / "mask.png", fit=True)
+    return load_points_scene(chair / "target.ply", chair / "mask.png", fit=0)
 
 
 def test_a_sure_camera_is_no_finding(fitted):
@@ -113,7 +113,7 @@ def test_a_sure_camera_is_no_finding(fitted):
 
 def test_an_unsure_camera_is_a_finding_with_its_reason(folder):
     other = FOLDER / "airplane" / "initial.ply"
-    scene = load_points_scene(other, MASK, fit=True)
+    scene = load_points_scene(other, MASK, fit=0)
     (finding,) = scene.given.known
     assert finding.name == "unsure-camera"
     assert finding.views == (0,)
@@ -126,7 +126,7 @@ def test_a_camera_is_fitted_to_the_mask_as_it_is_meant(fitted, tmp_path):
     dark = np.rint(255.0 * (1.0 - read_mask(chair / "mask.png"))).astype(np.uint8)
     Image.fromarray(dark).save(tmp_path / "dark.png")
     meant = ["mask-inverted"]
-    scene = load_points_scene(chair / "target.ply", tmp_path / "dark.png", meant, fit=True)
+    scene = load_points_scene(chair / "target.ply", tmp_path / "dark.png", meant, fit=0)
     assert scene.given.assumptions == (INVERTED,)
     np.testing.assert_allclose(scene.view.camera.R, fitted.view.camera.R, atol=1e-6)
     np.testing.assert_allclose(scene.view.mask, fitted.view.mask, atol=1e-6)
@@ -136,7 +136,7 @@ def test_the_mask_of_a_left_handed_cloud_is_mirrored_before_a_camera_is_fitted(f
     chair = FOLDER / "chair"
     write_cloud(tmp_path / "left.ply", read_cloud(chair / "target.ply").points[:, [1, 0, 2]])
     meant = ["cloud-xy-swapped"]
-    scene = load_points_scene(tmp_path / "left.ply", chair / "mask.png", meant, fit=True)
+    scene = load_points_scene(tmp_path / "left.ply", chair / "mask.png", meant, fit=0)
     assert scene.given.assumptions == ()
     np.testing.assert_array_equal(scene.view.mask, fitted.view.mask[:, ::-1])
 
@@ -144,6 +144,6 @@ def test_the_mask_of_a_left_handed_cloud_is_mirrored_before_a_camera_is_fitted(f
 def test_a_camera_is_fitted_in_the_axes_of_the_cloud(fitted):
     chair = FOLDER / "chair"
     meant = ["cloud-upside-down"]
-    scene = load_points_scene(chair / "target.ply", chair / "mask.png", meant, fit=True)
+    scene = load_points_scene(chair / "target.ply", chair / "mask.png", meant, fit=0)
     assert scene.given.assumptions == ()
     np.testing.assert_allclose(scene.view.camera.R, fitted.view.camera.R, atol=1e-6)

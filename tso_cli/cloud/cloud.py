@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Bits, as_numbers
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.view import View
+from ..pose.move import Body
 from .control_points import CONTROL_POINTS
 from .outliers import are_part_of_object, find_outliers
 from .subset import Subset
@@ -125,6 +126,11 @@ class ControlledCloud:
     def measured(self) -> Array:
         """[M, 3], the points that measures are of: all but outliers, or many of the surface."""
         return self._control.measured(self.source.points)
+
+    @property
+    def body(self) -> Body:
+        """What of it is compared with masks when it moves as one."""
+        return Body(self.measured, self.centre, self.scale)
 
     def normalise(self, points: Array) -> Array:
         """Points [M, 3] in the unit of the source, normalised."""

@@ -9,11 +9,13 @@ import click
 
 from ..errors import InputError
 from ..optimisation.presets import MODES, PRESETS
+from ..pose.asked import ASKED, KEEPS
 from . import options
 
 PATH = options.PATH
 HEADINGS = {
     "mode": "Method",
+    "move": "What moves as one first (points mode)",
     "checkpoint": "Network modes",
     "camera": "Camera",
     "invert_mask": "Further input, one image for each mask or none",
@@ -25,6 +27,7 @@ BRIEF = (
     "mode",
     "preset",
     "budget",
+    "move",
     "camera",
     "output",
     "overwrite",
@@ -113,7 +116,28 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     "--sigma-sq",
     type=float,
     help="Variance of the projector's Gaussian, in squared 64ths of the object's window. "
-    "--preset paper and --refine-camera use it.  [default: 0.4]",
+    "--preset paper uses it.  [default: 0.4]",
+)
+@click.option(
+    "--move",
+    type=click.Choice(ASKED),
+    metavar="WHAT",
+    help="What moves as one first: auto, shape (nothing), pose, similarity or camera.  [default: "
+    "auto]",
+)
+@options.flag("--refine-camera", "The same as --move camera.", "refine_camera")
+@click.option(
+    "--keep",
+    type=click.Choice(KEEPS),
+    default="auto",
+    help="What stays where one camera cannot tell size from distance. `auto`: the size for a pose, "
+    "the distance for a similarity.",
+)
+@options.flag("--only", "Only move as one, and leave the shape as it is.")
+@click.option(
+    "--write-transform",
+    type=PATH,
+    help="Write the 4x4 matrix that the cloud moved by as one, .json.",
 )
 @click.option(
     "--checkpoint",
@@ -136,8 +160,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--camera",
     type=options.FilePath(*options.WORDS["camera"]),
-    help="Camera file or folder of tso or another program. `fit` estimates the camera of a single "
-    "mask.  [default: MASKSTEM.camera.json, camera.json, cameras.json or transforms.json next to "
+    help="Camera file or folder of any program, or `fit` to estimate it.  [default: a file next to "
     "the mask, else a canonical camera]",
 )
 @options.camera_format
@@ -147,9 +170,21 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     help="Camera file whose K is used: with a --camera that holds poses alone, or with --camera "
     "fit.",
 )
+@click.option(
+    "--focal",
+    type=float,
+    help="With --camera fit: the focal length in pixels of the mask.  [default: of the EXIF data "
+    "of the photo, else unknown]",
+)
+@click.option("--fov", type=float, help="With --camera fit: horizontal field of view, degrees.")
+@click.option(
+    "--pose-index",
+    type=options.Whole(0),
+    help="With --camera fit: which of the poses that fit is used, as --json lists them; 0 is the "
+    "best.  [default: 0]",
+)
 @options.object_id
-@options.flag("--refine-camera", "First correct the cameras, close to the given ones; points mode.")
-@click.option("--write-camera", type=PATH, help="Write the fitted or refined cameras, .json.")
+@click.option("--write-camera", type=PATH, help="Write the fitted or moved cameras, .json.")
 @click.option(
     "--assume",
     multiple=True,

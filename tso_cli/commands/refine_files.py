@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from ..diagnosis.hypotheses import INVERTED, assumptions_of
 from ..errors import InputError
-from ..geometry.arrays import Pixels
+from ..geometry.arrays import Array, Pixels
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
 from ..io.clouds import check_suffix, write_cloud
 from ..io.masks import MaskChoice, masks_in
@@ -27,7 +29,10 @@ if TYPE_CHECKING:
 
 
 # What is written next to the result, by the name of its option.
-SUFFIX_OF = {"overlay": ".png", "report": ".html", "rerun": ".rrd", "write_camera": ".json"}
+SUFFIX_OF = {
+    "overlay": ".png", "report": ".html", "rerun": ".rrd", "write_camera": ".json",
+    "write_transform": ".json",
+}  # fmt: skip
 
 
 @dataclass
@@ -51,6 +56,9 @@ class InputOptions:
     camera_format: str | None
     object_id: int | None
     intrinsics: Path | None
+    focal: float | None
+    fov: float | None
+    pose_index: int | None
     assume: tuple[str, ...]
     invert_mask: bool
     ignore: tuple[Path, ...]
@@ -70,6 +78,7 @@ class InputOptions:
                 "no MASK was given, expected one or more, or --camera FILE whose views name their "
                 "masks"
             )
+        self._check_fit()
         # Which masks there are is known once folders are read.
         views = dict.fromkeys(text.partition("@")[2] for text in self.assume)
         self._check_assumptions([view for view in views if view])
@@ -127,6 +136,23 @@ class InputOptions:
                 "--depth needs a camera whose distance is known, found --camera fit; expected a "
                 "camera file"
             )
+
+    def _check_fit(self) -> None:
+        """Options that are of a camera that is estimated."""
+        given = [
+            f"--{name.replace('_', '-')}"
+            for name in ("focal", "fov", "pose_index")
+            if getattr(self, name) is not None
+        ]
+        if given and not self.fit:
+            raise InputError(f"{given[0]} is for --camera fit, expected that too")
+        known = [name for name in ("intrinsics", "focal", "fov") if getattr(self, name) is not None]
+        if self.fit and len(known) > 1:
+            raise InputError(f"--{known[0]} and --{known[1]}, expected one of them")
+        if self.focal is not None and not 0.0 < self.focal < math.inf:
+            raise InputError(f"--focal {self.focal:g}, expected pixels, more than 0")
+        if self.fov is not None and not 0.0 < self.fov < 180.0:
+            raise InputError(f"--fov {self.fov:g}, expected degrees, more than 0 and under 180")
 
     def _check_assumptions(self, views: list[str]) -> None:
         assumptions = assumptions_of(self.assume, views)
@@ -186,6 +212,8 @@ class RefineInputs(InputOptions):
             camera_format=self.camera_format,
             object_id=self.object_id,
             intrinsics=self.intrinsics,
+            focal=self.focal,
+            fov=self.fov,
             ignore=self.ignore,
             depth=self.depth,
             depth_scale=self.depth_scale or 1.0,
@@ -197,7 +225,8 @@ class RefineInputs(InputOptions):
         files = self.view_files
         if self.checkpoint is None:
             inverted = [INVERTED.hypothesis.name] if self.invert_mask else []
-            return load_points_scene(self.source, files, [*inverted, *self.assume], self.fit)
+            pose = (self.pose_index or 0) if self.fit else None
+            return load_points_scene(self.source, files, [*inverted, *self.assume], pose)
         from ..scene.network import load_network_scene
 
         place = self.place or "silhouette"
@@ -217,6 +246,7 @@ class RefineOutputs:
     rerun: Path | None
     record: Path | None
     write_camera: Path | None
+    write_transform: Path | None
     overwrite: bool
 
     def check(self, inputs: list[Path]) -> None:
@@ -234,14 +264,18 @@ class RefineOutputs:
             check_output(self.record, self.overwrite)
             if self.record.resolve() in [path.resolve() for path in inputs]:
                 raise InputError(f"{self.record}: is an input, expected another name for -o")
-        if self.write_camera is not None:
-            require_output(self.write_camera, SUFFIX_OF["write_camera"], self.overwrite)
-            others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
-            if self.write_camera.resolve() in [path.resolve() for path in others]:
+        others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
+        for name in ("write_camera", "write_transform"):
+            file = getattr(self, name)
+            if file is None:
+                continue
+            require_output(file, SUFFIX_OF[name], self.overwrite)
+            if file.resolve() in [path.resolve() for path in others]:
                 raise InputError(
-                    f"{self.write_camera}: is another file of this command, expected another name "
-                    "for --write-camera"
+                    f"{file}: is another file of this command, expected another name for "
+                    f"--{name.replace('_', '-')}"
                 )
+            others.append(file)
 
     def recorder(self) -> Iterates | None:
         """What keeps the steps for --rerun; fails at once where rerun is not installed."""
@@ -300,10 +334,23 @@ class RefineOutputs:
                 ]
                 temporary = stack.enter_context(atomic_output(self.write_camera, self.overwrite))
                 temporary.write_text(camera_text(self.write_camera, records), encoding="utf-8")
+            if self.write_transform is not None:
+                temporary = stack.enter_context(atomic_output(self.write_transform, self.overwrite))
+                temporary.write_text(transform_text(result.move.matrix), encoding="utf-8")
             self.check([])  # before the first of them takes its name
             write_cloud(
                 self.output,
                 scene.to_output(result.points),
                 like=scene.file,
                 overwrite=self.overwrite,
+                matrix=result.move.matrix,
             )
+
+
+def transform_text(matrix: Array) -> str:
+    """The 4x4 matrix that a cloud moved by as one, as JSON."""
+    document = {
+        "matrix": matrix.tolist(),
+        "convention": "x' = matrix x, for columns x = (x, y, z, 1) in the units of the cloud",
+    }
+    return json.dumps(document, indent=2) + "\n"

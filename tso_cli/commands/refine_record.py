@@ -25,7 +25,7 @@ SCHEMA = 1
 """Version of the form of records."""
 LARGEST_CONFIG = 16 << 20  # bytes
 # Options that say where results go, whether, or what is printed: they do not change a result.
-WRITTEN = ("overlay", "report", "rerun", "write_camera")
+WRITTEN = ("overlay", "report", "rerun", "write_camera", "write_transform")
 OF_RUN = ("record", "overwrite", "check", "quiet", "verbose", "as_json")
 OF_OUTPUT = ("output", "strict", *WRITTEN, *OF_RUN)
 

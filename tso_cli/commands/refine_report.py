@@ -14,7 +14,6 @@ from ..geometry.camera import Camera
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
 from ..io.shipped import LEARNED, NO_PRIOR
-from ..optimisation.camera_correction import MISFIT_LEFT
 from ..refinement.decisions import document_of
 from ..refinement.judge import CONTRADICTED_WEIGHT
 from ..refinement.result import RefineResult
@@ -24,6 +23,7 @@ from . import options
 from .refine_check import camera_document, verdict_document
 from .refine_files import RefineInputs, RefineOutputs
 from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, shown, why_unmoved
+from .sentences_of_moves import alternatives_of, move_document, words_of_move, words_of_search
 
 if TYPE_CHECKING:
     from ..plots.page import PageWords
@@ -43,6 +43,13 @@ CONVENTION = {
     "the default preset in points mode",
     "step_taken": "share of the displacement that was taken: under 1 where the result is doubtful, "
     "0 where nothing moved",
+    "transform": "4x4, x' = matrix x takes the cloud as it was given to where it moved as one, "
+    "before its shape changed; the identity where nothing or a camera moved",
+    "moved_as": "nothing, shift, pose (turn and shift), similarity (and size) or camera",
+    "alternatives": "other poses that were found, best first, without those by a symmetry of the "
+    "cloud; of a fitted camera their number is what --pose-index takes",
+    "missed": "of the masks' contours, the share that the cloud misses by a point or more of "
+    "their cells: where it was given, and after it moved as one",
     "prior": "learned: the one that comes with the program",
     "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
     "optimisation and before `step_taken`, as a share of the object's size",
@@ -73,7 +80,6 @@ def objective_of(result: RefineResult) -> str:
 class RefineReport:
     """A result and what it was made from.
 
-    refine_camera : the cameras were corrected, or left because no correction was better.
     seconds : wall time of each phase. given : the options that were not left to their defaults.
     """
 
@@ -82,7 +88,6 @@ class RefineReport:
     inputs: RefineInputs
     outputs: RefineOutputs
     words: Words
-    refine_camera: bool
     budget: str | float
     seconds: dict[str, float]
     given: dict[str, Any]
@@ -124,6 +129,8 @@ class RefineReport:
             "outliers": int(result.outliers.sum()),
             **verdict_document(trust.confidence, trust.verdict, reason, warnings, suspects),
             "step_taken": trust.displacement_taken,
+            **move_document(result.move),
+            "alternatives": alternatives_of(self.scene.fitted, result.move),
             "budget": {"given": self.budget, "decisions": document_of(result.cost.decisions)},
             "convention": {
                 **CONVENTION,
@@ -133,8 +140,8 @@ class RefineReport:
             "seconds": self.seconds,
             "version": __version__,
         }
-        if self.refine_camera:
-            document["refined_cameras"] = [
+        if result.move.kind == "camera":
+            document["moved_cameras"] = [
                 {name: getattr(camera, name).tolist() for name in ("K", "R", "t")}
                 | {"turned_degrees": degrees, "shifted_share": shift}
                 for _, camera, degrees, shift in self.corrections
@@ -159,7 +166,7 @@ class RefineReport:
 
     @cached_property
     def corrections(self) -> list[tuple[View, Camera, float, float]]:
-        """For each view: the refined camera, its turn in degrees, and the cloud's shift.
+        """For each view: the moved camera, its turn in degrees, and the cloud's shift.
 
         The shift is relative to the cloud's distance.
         """
@@ -240,6 +247,7 @@ class RefineReport:
             (self.outputs.overlay, "picture"),
             (self.outputs.report, "page"),
             (self.outputs.write_camera, "camera"),
+            (self.outputs.write_transform, "transform"),
         ):
             if path is not None:
                 click.echo(f"{path}: {content}")
@@ -263,27 +271,26 @@ class RefineReport:
         return f"{trust.verdict}, confidence {shown(trust.confidence)}"
 
     def _moved(self) -> str:
+        as_one = words_of_move(self.result)
         if why := why_unmoved(self.result):
-            return f"nothing: {why}"
+            return f"{as_one}; its shape stays: {why}" if as_one else f"nothing: {why}"
         small = f"under {100.0 * SMALL_DISPLACEMENT:g} %"
         mean, largest = (
             f"{100.0 * share:.1f} %" if share >= SMALL_DISPLACEMENT else small
             for share in (self.result.fit.moved_mean, self.result.fit.moved_max)
         )
-        return f"{mean} of the object's size on average, {largest} at most"
+        points = f"{mean} of the object's size on average, {largest} at most"
+        return f"{as_one}, then points by {points}" if as_one else points
 
     def _cameras(self) -> str:
         summary = self.scene.camera_summary
-        if not self.refine_camera or not self.result.fit.steps:
+        if self.result.move.kind != "camera":
             return summary
-        corrected = [row for row in self.corrections if row[0].camera is not row[1]]
-        if not corrected:
-            return f"{summary}, kept: no small correction explains the misfit"
         if len(self.corrections) > 1:
-            return f"{summary}, {len(corrected)} of {len(self.corrections)} corrected"
-        _, _, degrees, shift = corrected[0]
+            return f"{summary}, moved"
+        _, _, degrees, shift = self.corrections[0]
         turned = f"turned by {degrees:.1f} degrees"
-        return f"{summary}, corrected: {turned}, shifted by {100.0 * shift:.1f} % of its distance"
+        return f"{summary}, moved: {turned}, shifted by {100.0 * shift:.1f} % of its distance"
 
     def _prior(self) -> str | None:
         prior, fit = self.result.settings.prior, self.result.fit
@@ -335,17 +342,11 @@ class RefineReport:
                 f"  view   {view.iou_before:.3f} -> {view.iou_after:.3f}   inlier weight "
                 f"{view.inlier_weight:.2f}, loss weight {view.loss_weight:.2f}, {view.name}"
             )
-        for given, camera, degrees, shift in (
-            self.corrections if self.refine_camera and fit.steps else ()
-        ):
+        for given, _, degrees, shift in self.corrections if result.move.kind == "camera" else ():
             text = f"turned {degrees:.2f} degrees, shifted {100.0 * shift:.2f} % of its distance"
-            text = f"{text}   ({given.name})"
-            if camera is given.camera:
-                text = (
-                    "kept   (no small correction leaves less than "
-                    f"{MISFIT_LEFT:g} of the misfit; {given.name})"
-                )
-            click.echo(f"  camera {text}")
+            click.echo(f"  camera {text}   ({given.name})")
+        if result.settings.move != "shape":
+            click.echo(f"  as one {words_of_search(result.move)}")
         click.echo(f"  mirror {self._mirror()}")
         for decision in result.cost.decisions[:-1]:
             click.echo(f"  spent  {decision.what}: {decision.choice} ({decision.reason})")

@@ -32,18 +32,27 @@ INTERRUPTED = 130
 def check_options(chosen: Mapping[str, Any], strict: bool) -> None:
     """InputError for options that do not go together or are out of range; no file is read."""
     options.pick(InputOptions, chosen)
-    for name in ("refine_camera", "write_camera"):
-        if chosen[name] and chosen["mode"] != "points":
-            raise InputError(
-                f"--{name.replace('_', '-')} is for --mode points, found --mode {chosen['mode']}, "
-                "which places its cloud before the camera itself"
-            )
-    config = options.pick(RefineConfig, chosen)
+    if chosen["mode"] != "points":
+        moves = chosen["move"] not in (None, "shape") and f"move {chosen['move']}"
+        for name in ("refine_camera", "only", "write_transform", "write_camera"):
+            if moves or chosen[name]:
+                raise InputError(
+                    f"--{moves or name.replace('_', '-')} is for --mode points, found --mode "
+                    f"{chosen['mode']}, which places its cloud before the camera itself"
+                )
+    if chosen["refine_camera"] and chosen["move"] not in (None, "camera"):
+        raise InputError(f"--refine-camera and --move {chosen['move']}, expected one of the two")
+    config = options.pick(RefineConfig, with_move(chosen))
     if strict and not config.settings().smooth:
         raise InputError(
             "--strict is for results with a confidence, of --mode points --preset best, found "
             f"--mode {config.mode} --preset {config.preset}"
         )
+
+
+def with_move(chosen: Mapping[str, Any]) -> dict[str, Any]:
+    """The options with --refine-camera as the move that it stands for."""
+    return {**chosen, "move": "camera" if chosen["refine_camera"] else chosen["move"]}
 
 
 class RefineRun:
@@ -76,7 +85,6 @@ class RefineRun:
         record = Path(record_of(str(output))) if chosen["record"] else None
         named = {**chosen, "output": output, "own_suffix": suffix, "record": record}
         self._outputs = options.pick(RefineOutputs, named)
-        self._refine_camera = chosen["refine_camera"]
         if not check:
             self._outputs.check(self._inputs.files)
         self._iterates = None if check else self._outputs.recorder()
@@ -131,13 +139,13 @@ class RefineRun:
 
     def _configured(self, chosen: dict[str, Any]) -> RefineConfig:
         sigma_sq = chosen["sigma_sq"]
-        if sigma_sq is not None and self._inputs.preset == "best" and not self._refine_camera:
+        if sigma_sq is not None and self._inputs.preset == "best":
             warnings.warn(
                 "--sigma-sq is of the paper's projection, which the preset best does not use",
                 stacklevel=1,
             )
         sigma_sq = self._scene.sigma_sq if sigma_sq is None else sigma_sq
-        return options.pick(RefineConfig, {**chosen, "sigma_sq": sigma_sq})
+        return options.pick(RefineConfig, {**with_move(chosen), "sigma_sq": sigma_sq})
 
     def _require_writable_cameras(self) -> None:
         """Refuse to write the cameras of a cloud with left-handed axes."""
@@ -184,7 +192,7 @@ class RefineRun:
     def _report(self, result: RefineResult, seconds: dict[str, float]) -> RefineReport:
         budget = "auto" if self._config.budget == "auto" else self._config.budget_seconds
         of_run = self._scene, self._inputs, self._outputs, self._words
-        return RefineReport(result, *of_run, self._refine_camera, budget, seconds, self._given)
+        return RefineReport(result, *of_run, budget, seconds, self._given)
 
     def _words_so_far(
         self, result: RefineResult, seconds: dict[str, float]

@@ -13,6 +13,7 @@ from ..diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
 from ..diagnosis.placement import describe_box
 from ..errors import InputError
 from ..refinement import RefineResult
+from .sentences_of_moves import reading_of
 
 # A largest displacement under this share of the object's size is worth a warning.
 SMALL_DISPLACEMENT = 1e-3
@@ -127,12 +128,12 @@ class Words:
         trust = result.trust
         if trust.reason == FINDING:
             return self.suspicion(self.suspicious(result.findings))
-        return trust.says + (" (--refine-camera)" if trust.reason == "camera" else "")
+        return trust.says + (" (--move camera)" if trust.reason == "camera" else "")
 
     def warnings(self, result: RefineResult) -> list[str]:
         """One sentence each, to read before the result is used."""
         fit, trust, reason = result.fit, result.trust, self.reason(result)
-        messages = [text] if (text := _of_course(result)) else []
+        messages = [text for text in (reading_of(result), _of_course(result)) if text]
         if trust.verdict == "doubtful":
             # A suspicious input makes a result doubtful whatever the confidence.
             sure = ""
@@ -179,6 +180,8 @@ def _of_course(result: RefineResult) -> str | None:
     """What is worth saying of the course of the optimisation."""
     fit, steps = result.fit, result.settings.steps
     reason = why_unmoved(result)
+    if reason and result.move.kind != "nothing":
+        return None
     no_confidence = "" if result.trust.verdict else ": there is no confidence in the result"
     if reason and fit.outcome != "refused":
         what = "nothing to do" if fit.stop_reason == "nothing_to_do" else "nothing moved"

@@ -59,6 +59,8 @@ REASONS = {
 }
 FINDING = "finding"
 """The reason of a result that is doubtful because of a suspicious finding."""
+# Of validation clouds that the default moved as one, about this share was nearer the truth then.
+CONFIDENCE_OF_A_MOVE = 0.9
 # Added to a value before its logarithm is taken.
 SMALLEST = 1e-3
 # Motion is rough if a field of this smoothness does not have it. The optimisation has its factors.
@@ -112,6 +114,19 @@ class Trust:
         if diagnosis.suspicious:
             return cls("doubtful", 1.0, FINDING, words_of(diagnosis), 0.0)
         return cls("unchanged", 1.0, displacement_taken=0.0)
+
+    @classmethod
+    def placed(cls, explains: bool, diagnosis: Diagnosis) -> Trust:
+        """Of a cloud that moved as one and kept its shape.
+
+        explains : whether the move explains why the cloud did not fit.
+        """
+        if diagnosis.suspicious:
+            return cls("doubtful", 1.0, FINDING, words_of(diagnosis), 0.0)
+        if not explains:
+            says = "only a move that explains the misfit has a confidence"
+            return cls(None, None, "move", says, 0.0)
+        return cls("improved", CONFIDENCE_OF_A_MOVE, displacement_taken=0.0)
 
     @classmethod
     def unknown(cls, reason: str, says: str, diagnosis: Diagnosis) -> Trust:

@@ -108,10 +108,14 @@ class Camera:
 
     def for_normalised(self, centre: Array, scale: float) -> Camera:
         """The camera that sees ``(X - centre) / scale`` exactly where this one sees ``X``."""
+        return self.before_placed(np.eye(3), centre, scale)
+
+    def before_placed(self, R: Array, t: Array, size: float) -> Camera:
+        """The camera that sees ``X`` exactly where this one sees ``size * R X + t``."""
         K = self.K
         if self.model == "orthographic":
-            K = K @ np.diag([scale, scale, 1.0])
-        return replace(self, K=K, t=(self.R @ centre + self.t) / scale)
+            K = K @ np.diag([size, size, 1.0])
+        return replace(self, K=K, R=self.R @ R, t=(self.R @ t + self.t) / size)
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Pixel coordinates [N, 2] and depth [N] of ``points`` [N, 3] (Eq. 1 of the paper).

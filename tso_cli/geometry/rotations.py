@@ -1,6 +1,6 @@
 """Rotations as matrices [..., 3, 3].
 
-Made from rotation vectors or spread evenly; and the angle between two rotations.
+Made from rotation vectors or spread evenly; as rotation vectors; and the angle between two.
 """
 
 from __future__ import annotations
@@ -19,6 +19,28 @@ def from_vectors(vectors: Array) -> Array:
     second = 0.5 * np.square(np.sinc(angle / (2.0 * np.pi)))
     rotation: Array = np.eye(3) + first * cross + second * (cross @ cross)
     return rotation
+
+
+def to_vectors(R: Array) -> Array:
+    """The rotation vectors [..., 3] of rotations [..., 3, 3], of at most half a turn."""
+    # Twice the sine of the angle, along the axis.
+    vectors = np.stack(
+        [
+            R[..., 2, 1] - R[..., 1, 2],
+            R[..., 0, 2] - R[..., 2, 0],
+            R[..., 1, 0] - R[..., 0, 1],
+        ],
+        -1,
+    )
+    cosine = (np.trace(R, axis1=-2, axis2=-1) - 1.0) / 2.0
+    angle = np.arctan2(np.linalg.norm(vectors, axis=-1) / 2.0, cosine)
+    vectors = np.asarray(vectors / (2.0 * np.sinc(angle / np.pi))[..., None])
+    # Near half a turn the sine is too small to show the axis.
+    for index in np.argwhere(cosine < -0.99):
+        w, *axis = to_quaternion(R[tuple(index)])
+        unit = np.array(axis) / np.linalg.norm(axis)
+        vectors[tuple(index)] = 2.0 * np.arctan2(np.linalg.norm(axis), w) * unit
+    return vectors
 
 
 def from_quaternion(w: float, x: float, y: float, z: float) -> Array:

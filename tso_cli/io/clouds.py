@@ -21,6 +21,7 @@ from .movable import MovableFile, in_words
 from .output import check_output, write_file
 from .ply import PlyFile, new_ply
 from .reading import is_there, plain, read_array, read_bytes, require_memory, shown
+from .similarity import Similarity, similarity_of
 
 # Files that are written again with other vertices, byte for byte the same otherwise.
 MOVABLE = (".ply", ".glb", ".gltf", ".obj")
@@ -183,6 +184,7 @@ def write_cloud(
     like: PointCloud | None = None,
     overwrite: bool = False,
     dtype: Literal["float32", "float64"] | None = None,
+    matrix: Array | None = None,
 ) -> None:
     """Write ``points`` [N, 3] as a .ply, .npy or .xyz file, or as the file they were read from.
 
@@ -192,14 +194,18 @@ def write_cloud(
     Another warning says by how much the file's float rounds the result, if that is over 1e-4 of the
     cloud's longest side.
 
+    ``matrix`` [4, 4] says that the cloud of ``like`` moved as a whole before its points moved
+    further, if they did: x' = matrix x, a rotation with one factor for all lengths and a shift.
+    Normals, tangents and splats move along with it, so they are right if no point moved further.
+
     Otherwise the type of the coordinates is ``dtype``, or the precision of ``like``. If neither is
     given, it is float32 as long as rounding moves no point by over a millionth of the cloud's
     longest side. A .ply file gets the faces and colours of ``like``, and its normals if no point
-    moved. A warning names what else the file of ``like`` holds.
+    moved, or all as one. A warning names what else the file of ``like`` holds.
 
-    Raises InputError if ``path`` has another suffix or cannot be written, or if ``points`` and
-    ``like`` differ in number; TsoError if a coordinate is not finite or too large for its type.
-    After an error nothing is written.
+    Raises InputError if ``path`` has another suffix or cannot be written, if ``points`` and
+    ``like`` differ in number, or if ``matrix`` does not keep shapes; TsoError if a coordinate is
+    not finite or too large for its type. After an error nothing is written.
     """
     path = Path(path)
     check_suffix(path, like.source.suffix if like is not None and like.source else "")
@@ -212,23 +218,44 @@ def write_cloud(
         raise InputError(
             f"{path}: {len(points)} points to write, expected {len(like.points)} as in {like.path}"
         )
-    suffix = path.suffix.lower()
+    suffix, move = path.suffix.lower(), similarity_of(matrix)
     if like is not None and like.source is not None and like.source.suffix == suffix:
         if "f4" in like.source.kinds:
             check_rounding(path, points, f"in {like.path}", "store the input as double")
-        data = like.source.with_points(points)
-        if (stale := like.source.stale_after_moving) and data is not like.source.data:
-            warnings.warn(
-                f"{path}: the {stale} are those of {like.path}, before the points moved",
-                stacklevel=2,
-            )
+        data = like.source.with_points(points, matrix)
+        if data is not like.source.data:
+            _warn_of_stale(path, like, points, move)
         _warn_of_files(path, like, data)
     else:
         rounding, extent = _rounding(points)
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         chosen = dtype or (like.precision if like is not None else precise)
-        data = _new_file(suffix, points, chosen, like)
+        data = _new_file(suffix, points, chosen, like, move)
     write_file(path, data, overwrite)
+
+
+def _warn_of_stale(path: Path, like: PointCloud, points: Array, move: Similarity | None) -> None:
+    """Warn of what the file of ``like`` holds that is not right for ``points`` [N, 3]."""
+    assert like.source is not None
+    stale = [] if _keeps_shape(like, points, move) else like.source.stale_after_moving
+    left = stale if move is None else like.source.left_behind(move.matrix)
+    turned = [name for name in stale if name not in left]
+    for names, when in (
+        (left, "before the points moved"),
+        (turned, "moved with the whole cloud, before the points moved further"),
+    ):
+        if names:
+            warnings.warn(
+                f"{path}: the {in_words(names)} are those of {like.path}, {when}", stacklevel=3
+            )
+
+
+def _keeps_shape(like: PointCloud, points: Array, move: Similarity | None) -> bool:
+    """Whether ``points`` [N, 3] are those of ``like`` moved by ``move``, or not moved at all."""
+    if move is None:
+        return np.array_equal(like.points, points)
+    assert like.source is not None
+    return move.accounts_for(like.points, points, like.source.kinds)
 
 
 def _warn_of_files(path: Path, like: PointCloud, data: bytes) -> None:
@@ -308,17 +335,20 @@ def check_suffix(path: Path, own: str = "") -> None:
         )
 
 
-def _new_file(suffix: str, points: Array, dtype: str, like: PointCloud | None) -> bytes:
+def _new_file(
+    suffix: str, points: Array, dtype: str, like: PointCloud | None, move: Similarity | None
+) -> bytes:
     if suffix == ".ply":
         if like is None:
             return new_ply(points, dtype)
         source, colours, normals = like.source, None, None
         with suppress(InputError):  # what cannot be read is lost
             colours = source.read_colours() if source else like.rgb
-        still = source is not None and np.array_equal(points, like.points)
-        # Normals of a surface that has moved are wrong.
+        # Normals of a surface that has bent are wrong.
         with suppress(InputError):
-            normals = source.read_normals() if source and still else None
+            normals = source.read_normals() if source and _keeps_shape(like, points, move) else None
+        if normals is not None and move is not None:
+            normals = move.turned(normals)
         if source:
             found = {"colours": colours, "normals": normals}
             warn_of_losses(like, suffix, [key for key, one in found.items() if one is not None])

@@ -1,7 +1,7 @@
 """glTF and GLB: the vertices of a scene, and the file again with these vertices moved.
 
-POSITION is replaced in place, and NORMAL and TANGENT are turned with the surface. Every other byte
-of the file stays, except the bounds that glTF states of POSITION.
+POSITION is replaced in place, and NORMAL and TANGENT are turned with the whole scene and with the
+surface. Every other byte of the file stays, except the bounds that glTF states of POSITION.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
@@ -39,6 +39,7 @@ from .gltf_scene import (
 )
 from .movable import MovableFile
 from .reading import plain, read_bytes, require_memory
+from .similarity import Similarity, similarity_of
 
 # What stands for 1 in colours of whole numbers.
 _FULL = {"u1": 255.0, "u2": 65535.0}
@@ -78,13 +79,38 @@ class _Primitive:
     triangles: Indices
     attributes: dict[str, Any]  # names of values of the vertices -> accessors
 
-    @property
-    def normal(self) -> int | None:
-        return self.attributes.get("NORMAL")
+    def directions(self) -> list[_Directions]:
+        """The normals and the tangents, where there are some."""
+        matrix = self.part.matrix[:3, :3]
+        # A node may shear its mesh: normals go by the inverse of the transpose.
+        found = [
+            _Directions("NORMAL", self.attributes.get("NORMAL"), "VEC3", np.linalg.inv(matrix).T),
+            _Directions("TANGENT", self.attributes.get("TANGENT"), "VEC4", matrix),
+        ]
+        return [one for one in found if one.accessor is not None]
 
-    @property
-    def tangent(self) -> int | None:
-        return self.attributes.get("TANGENT")
+
+class _Directions(NamedTuple):
+    """Directions of vertices: attribute, accessor and its type, and matrix [3, 3] to the world."""
+
+    name: str
+    accessor: Any
+    form: str
+    to_world: Array
+
+    def of_node(self, turn: Array) -> Array:
+        """The matrix [3, 3] that does in the node what the rotation ``turn`` does in the world."""
+        matrix: Array = np.linalg.inv(self.to_world) @ turn @ self.to_world
+        return matrix
+
+    def turned(self, directions: Array, turn: Array) -> Array:
+        """``directions`` [N, 3] in the node, turned in the world by ``turn``; lengths stay."""
+        if np.array_equal(turn, np.eye(3)):
+            return directions
+        with np.errstate(all="ignore"):
+            turned = directions @ self.of_node(turn).T
+            lengths = np.linalg.norm(directions, axis=1), np.linalg.norm(turned, axis=1)
+            return np.asarray(turned * (lengths[0] / np.maximum(lengths[1], 1e-300))[:, None])
 
 
 class GltfFile(Checked, MovableFile):
@@ -402,13 +428,43 @@ class GltfFile(Checked, MovableFile):
                     f"{self.path}: a node scales its mesh to a plane, expected a scale > 0"
                 )
 
-    def with_points(self, points: Array) -> bytes:
-        """The file with its vertices moved to ``points`` [V, 3] of the world."""
+    def left_behind(self, matrix: Array) -> list[str]:
+        """Which directions are wrong once ``matrix`` [4, 4] moved the whole scene.
+
+        They are not stored as float, or several nodes share them.
+        """
+        move = similarity_of(matrix)
+        return [] if move is None else sorted(set(self._fixed(move).values()))
+
+    def _fixed(self, move: Similarity) -> dict[tuple[int, int], str]:
+        """Buffer and offset of directions that cannot turn with ``move`` -> what they are."""
+        fixed: dict[tuple[int, int], str] = {}
+        if not move.turns:
+            return fixed
+        positions = {self._layout(part.accessor, ("VEC3",))[:2] for part in self._parts}
+        turns: dict[tuple[int, int], Array] = {}
+        for one in self._primitives:
+            for directions in one.directions():
+                layout = self._layout(directions.accessor, (directions.form,))
+                place, turn = layout[:2], directions.of_node(move.turn)
+                fits = layout[2] == np.dtype("<f4") and layout[3] == one.part.count
+                # Nodes that stand differently turn differently.
+                alike = np.allclose(turns.setdefault(place, turn), turn, rtol=0.0, atol=1e-6)
+                if not fits or not alike or place in positions:
+                    fixed[place] = f"{directions.name.lower()}s"
+        return fixed
+
+    def with_points(self, points: Array, matrix: Array | None = None) -> bytes:
+        """The file with its vertices moved to ``points`` [V, 3] of the world.
+
+        ``matrix`` [4, 4] moved the whole scene before: normals and tangents turn along with it.
+        """
+        move = similarity_of(matrix)
         self.require_movable()
         buffers = [bytearray(buffer) for buffer in self._buffers]
         bounds: dict[int, tuple[list[float], list[float]]] = {}
         before = self.read()
-        if np.array_equal(before, points):
+        if move is None and np.array_equal(before, points):
             return self.data
         for part in self._parts:
             span = slice(part.first, part.first + part.count)
@@ -419,51 +475,67 @@ class GltfFile(Checked, MovableFile):
             with np.errstate(all="ignore"):  # a coordinate too large is an error of the caller
                 target[moved] = local[moved]
             bounds[part.accessor] = target.min(0).tolist(), target.max(0).tolist()
-        self._turn_directions(buffers, before, points)
+        self._turn_directions(buffers, before, points, move)
         return self._assembled(buffers, bounds)
 
-    def _turn_directions(self, buffers: list[bytearray], before: Array, after: Array) -> None:
-        """Turn normals and tangents with their part, or with the faces around them.
-
-        A part that moves as a whole turns them exactly.
-        """
-        done: set[int] = set()
+    def _turn_directions(
+        self, buffers: list[bytearray], before: Array, after: Array, move: Similarity | None
+    ) -> None:
+        """Turn normals and tangents of vertices that went from ``before`` to ``after`` [V, 3]."""
+        # No bytes turn twice, and none that are vertices too.
+        done = {self._layout(part.accessor, ("VEC3",))[:2] for part in self._parts}
+        done |= set() if move is None else self._fixed(move).keys()
         for primitive in self._primitives:
-            for accessor, form in ((primitive.normal, "VEC3"), (primitive.tangent, "VEC4")):
-                if accessor is None or accessor in done:
+            part = primitive.part
+            span = slice(part.first, part.first + part.count)
+            for own in primitive.directions():
+                place = self._layout(own.accessor, (own.form,))[:2]
+                if place in done:
                     continue
-                done.add(accessor)
-                target = self._values(accessor, (form,), buffers)
-                part = primitive.part
+                done.add(place)
+                target = self._values(own.accessor, (own.form,), buffers)
                 if target.dtype != np.dtype("<f4") or len(target) != part.count:
                     continue
-                span = slice(part.first, part.first + part.count)
-                matrix = part.matrix[:3, :3]
-                inverse = np.linalg.inv(matrix)
-                directions = _as_double(target[:, :3])
-                turn = rigid_turn(before[span], after[span])
-                if turn is not None:
-                    if not np.array_equal(turn, np.eye(3)):
-                        # A node may shear its mesh: normals go by the inverse of the transpose.
-                        to_world = inverse.T if accessor == primitive.normal else matrix
-                        alike = directions @ (np.linalg.inv(to_world) @ turn @ to_world).T
-                        with np.errstate(all="ignore"):
-                            target[:, :3] = alike * _ratio(directions, alike)[:, None]
-                    continue
-                faces = np.concatenate([
-                    one.triangles for one in self._primitives
-                    if one.part is part and accessor in (one.normal, one.tangent)
-                ])  # fmt: skip
-                local = [
-                    (points[span] - part.matrix[:3, 3]) @ inverse.T for points in (before, after)
-                ]
-                # Copies of a vertex along a seam of the texture have the same normal: one group.
-                group = same_places(np.c_[np.round(local[0], 9), np.round(directions, 6)])
-                firsts = np.unique(group, return_index=True)[1]
-                turned = turned_normals(directions[firsts], group[faces], faces, *local)
-                change = (turned[group] != directions).any(1)
+                old = _as_double(target[:, :3])
+                new = self._turned(own, part, old, before[span], after[span], move)
+                changed = (new != old).any(1)
                 with np.errstate(all="ignore"):
-                    target[change, :3] = turned[group][change]
+                    target[changed, :3] = new[changed]
+
+    def _turned(
+        self,
+        own: _Directions,
+        part: _Part,
+        directions: Array,
+        before: Array,
+        after: Array,
+        move: Similarity | None,
+    ) -> Array:
+        """``directions`` [N, 3] of a part after its vertices went from ``before`` to ``after``.
+
+        They turn with ``move``, and further with the part or with the faces around them. A part
+        that moves as a whole turns them exactly.
+        """
+        turn = np.eye(3) if move is None else move.turn
+        along = own.turned(directions, turn)
+        moved = before if move is None else move.apply(before)
+        if move is not None and move.accounts_for(before, after, self.kinds):
+            return along
+        further = rigid_turn(moved, after)
+        if further is not None:
+            return own.turned(directions, further @ turn)
+        faces = np.concatenate([
+            one.triangles for one in self._primitives
+            if one.part is part and own.accessor == one.attributes.get(own.name)
+        ])  # fmt: skip
+        inverse = np.linalg.inv(part.matrix[:3, :3])
+        was, start, end = (
+            (points - part.matrix[:3, 3]) @ inverse.T for points in (before, moved, after)
+        )
+        # Copies of a vertex along a seam of the texture have the same normal: one group.
+        group = same_places(np.c_[np.round(was, 9), np.round(directions, 6)])
+        firsts = np.unique(group, return_index=True)[1]
+        return turned_normals(along[firsts], group[faces], faces, start, end)[group]
 
     def _assembled(
         self, buffers: list[bytearray], bounds: dict[int, tuple[list[float], list[float]]]
@@ -486,12 +558,6 @@ class GltfFile(Checked, MovableFile):
             binary = bytes(buffers[own])
             rest = rest[:8] + binary + rest[8 + len(binary) :]
         return glb_of(self.data, text, rest)
-
-
-def _ratio(one: Array, other: Array) -> Array:
-    """[K], how much longer the rows of ``one`` [K, 3] are than those of ``other``."""
-    lengths = np.linalg.norm(one, axis=1), np.linalg.norm(other, axis=1)
-    return np.asarray(lengths[0] / np.maximum(lengths[1], 1e-300))
 
 
 def _as_double(values: NDArray[Any]) -> Array:

@@ -35,7 +35,11 @@ _stderr_lock = threading.Lock()
 Known = TypeVar("Known")
 Convert = Callable[["Image.Image", Path], NDArray[Any]]
 WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
-_ORIENTATION = 0x0112
+_ORIENTATION, _EXIF, _FOCAL_35MM = 0x0112, 0x8769, 0xA405
+# Of a picture on 35 mm film, in mm; EXIF compares diagonals.
+DIAGONAL_OF_FILM = 43.27
+# A focal length of more diagonals, or of less than one over that, is a wrong entry.
+MOST_SHARE = 50.0
 
 
 def read_depth(path: Path, scale: float = 1.0, upright: bool = True) -> Array:
@@ -97,6 +101,19 @@ def resized(image: Pixels, width: int, height: int) -> Pixels:
 def orientation(path: Path) -> int:
     """The EXIF orientation of a picture, 1 for an upright one and for other files."""
     return _of_header(path, lambda image: int(image.getexif().get(_ORIENTATION, 1)), 1)
+
+
+def focal_length_of_exif(path: Path) -> float | None:
+    """The focal length of a photo, as a share of its diagonal, by its EXIF data; None without any.
+
+    EXIF gives the focal length of a lens that shows as much on 35 mm film.
+    """
+    focal = _of_header(path, lambda image: image.getexif().get_ifd(_EXIF).get(_FOCAL_35MM), None)
+    try:
+        share = float(focal) / DIAGONAL_OF_FILM if focal else 0.0
+    except (TypeError, ValueError):
+        return None
+    return share if MOST_SHARE > share > 1.0 / MOST_SHARE else None
 
 
 def has_alpha(path: Path) -> bool:

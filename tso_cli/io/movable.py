@@ -30,8 +30,13 @@ class MovableFile(ABC):
         """Triangles [F, 3], or None."""
 
     @abstractmethod
-    def with_points(self, points: Array) -> bytes:
-        """The file with its points at ``points`` [N, 3]."""
+    def with_points(self, points: Array, matrix: Array | None = None) -> bytes:
+        """The file with its points at ``points`` [N, 3].
+
+        ``matrix`` [4, 4] moved the whole file, x' = matrix x, before its points moved further:
+        directions such as normals turn along. It is a rotation with one factor for all lengths
+        and a shift; None or the identity if nothing moved as a whole.
+        """
 
     def read_colours(self) -> Array | None:
         """Red, green and blue [N, 3] in [0, 1], or None."""
@@ -42,9 +47,13 @@ class MovableFile(ABC):
         return None
 
     @property
-    def stale_after_moving(self) -> str:
-        """What is wrong once the points have moved, such as "normals"; "" if nothing is."""
-        return ""
+    def stale_after_moving(self) -> list[str]:
+        """What is wrong once points have moved one by one, such as "normals"."""
+        return []
+
+    def left_behind(self, matrix: Array) -> list[str]:
+        """What is wrong once ``matrix`` [4, 4] moved the whole file, such as "normals"."""
+        return []
 
     def read_normals(self) -> Array | None:
         """The normal of each point [N, 3], or None."""

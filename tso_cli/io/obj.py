@@ -1,7 +1,7 @@
 """Wavefront OBJ: the vertices of all objects, and the file again with these vertices moved.
 
-Normals are turned with the surface. Every other byte of the file stays: objects, groups, materials,
-texture coordinates and comments.
+Normals are turned with the whole file and with the surface. Every other byte of the file stays:
+objects, groups, materials, texture coordinates and comments.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ..geometry.normals import rigid_turn, turned_normals
 from .movable import MovableFile
 from .ply_body import spliced
 from .reading import plain, require_memory
+from .similarity import Similarity, similarity_of
 
 # The end of a line on old Macs. A line feed in its place keeps every byte where it is.
 _LONE_RETURN = re.compile(rb"\r(?!\n)")
@@ -212,25 +213,37 @@ class ObjFile(MovableFile):
         lines = re.findall(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", data, re.MULTILINE)
         return [line.decode("utf-8", "replace") for line in lines]
 
-    def with_points(self, points: Array) -> bytes:
-        """The file with its vertices moved to ``points`` [V, 3]."""
-        if np.array_equal(self._points, points):
+    def with_points(self, points: Array, matrix: Array | None = None) -> bytes:
+        """The file with its vertices moved to ``points`` [V, 3].
+
+        ``matrix`` [4, 4] moved the whole file before: all normals turn along with it.
+        """
+        move = similarity_of(matrix)
+        if move is None and np.array_equal(self._points, points):
             return self.data
         changes = [self._changes(self._spans, self._points, points)]
         used = self._normals >= 0
-        if self._normal_spans is not None and used.any():
+        if self._normal_spans is not None and (move is not None or used.any()):
             normals = self._numbers(self._normal_spans)
-            whole = used.all(1)
-            turn = rigid_turn(self._points, points)
-            if turn is not None:
-                turned = normals @ turn.T
-            else:
-                turned = turned_normals(
-                    normals, self._normals[whole], self._triangles[whole], self._points, points
-                )
+            with np.errstate(all="ignore"):  # of normals that are not finite
+                turned = self._turned(normals, points, move)
             changes.append(self._changes(self._normal_spans, normals, turned))
         starts, ends, words = (np.concatenate(part) for part in zip(*changes, strict=True))
         return spliced(self.data, 0, starts, ends, words)
+
+    def _turned(self, normals: Array, points: Array, move: Similarity | None) -> Array:
+        """``normals`` [K, 3] turned by ``move``, then as the vertices move on to ``points``."""
+        before, used = self._points, self._normals >= 0
+        if move is not None:
+            normals, before = move.turned(normals), move.apply(before)
+            if move.accounts_for(self._points, points, self.kinds):
+                return normals
+        turn = rigid_turn(before, points)
+        if turn is not None:
+            turned: Array = normals @ turn.T
+            return turned
+        whole = used.all(1)
+        return turned_normals(normals, self._normals[whole], self._triangles[whole], before, points)
 
     def _changes(
         self, spans: Indices, old: Array, new: Array

@@ -1,15 +1,19 @@
 """PLY files: read coordinates, colours and faces; write the file again with moved vertices.
 
-Every byte that is not a coordinate stays as it is. The package plyfile (1.1.5) does not keep that:
-it writes the numbers of text anew (0.10 becomes 0.100000001490116119), normalises headers, drops
-trailing bytes without a word, and writes big-endian elements with lists in the wrong byte order. It
-is also two to twelve times slower on text and on faces; on plain binary points it is faster.
+Normals and Gaussian splats turn with the whole file. Every other byte that is not a coordinate
+stays as it is. The package plyfile (1.1.5) does not keep that: it writes the numbers of text anew
+(0.10 becomes 0.100000001490116119), normalises headers, drops trailing bytes without a word, and
+writes big-endian elements with lists in the wrong byte order. It is also two to twelve times slower
+on text and on faces; on plain binary points it is faster.
 """
 
 from __future__ import annotations
 
+import re
 import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +21,11 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array, Bits, Indices
 from .movable import MovableFile
-from .ply_body import BinaryBody, TextBody, layout
+from .ply_body import BinaryBody, Change, TextBody, layout
 from .ply_header import Element, parse_header
 from .reading import require_memory, shown
+from .similarity import Similarity, similarity_of
+from .splats import moved_along
 
 # Names of properties.
 AXES = ("x", "y", "z")
@@ -30,12 +36,28 @@ NORMALS = (("nx", "ny", "nz"), ("normal_x", "normal_y", "normal_z"))
 STALE_AFTER_MOVING = {
     "normals": set().union(*NORMALS), "rotations": {"rot_0"}, "scales": {"scale_0"}
 }  # fmt: skip
+# What a rotation of the whole file changes of its vertices, and what a change of size changes.
+TURNS = {
+    "normals": re.compile("n[xyz]|normal_[xyz]"), "rotations": re.compile(r"rot_\d+"),
+    "view-dependent colours": re.compile(r"f_rest_\d+"),
+}  # fmt: skip
+GROWS = {"scales": re.compile(r"scale_\d+")}
+# Rows whose values change at once, which bounds the memory.
+BLOCK = 1 << 16
 # Of Gaussian splats: opacity before the logistic function, and the constant part of the colour.
 OPACITY, CONSTANT_COLOUR = "opacity", ("f_dc_0", "f_dc_1", "f_dc_2")
 # A splat of lower opacity cannot be seen; trainers leave many of them around an object.
 LEAST_OPACITY = 0.05
 # The value of the spherical harmonic of degree 0.
 HARMONIC = 0.28209479177387814
+
+
+class _Along(NamedTuple):
+    """Properties that move along with the whole file, and their values [N, K] after the move."""
+
+    element: Element
+    names: tuple[str, ...]
+    moved: Callable[[Array], Array]
 
 
 class PlyFile(MovableFile):
@@ -92,19 +114,36 @@ class PlyFile(MovableFile):
                 )
         return vertex
 
-    def _places_of(self, element: Element, names: tuple[str, ...]) -> Indices:
-        """The places [N, names] of the properties ``names`` in the rows of ``element``."""
-        places, _ = layout(self._body, element, self._rows[element.name], names)
+    def _places_of(
+        self, element: Element, names: tuple[str, ...], rows: slice = slice(None)
+    ) -> Indices:
+        """The places [N, names] of the properties ``names`` in some ``rows`` of ``element``."""
+        places, _ = layout(self._body, element, self._rows[element.name][rows], names)
         return np.stack([places[name] for name in names], axis=1)
 
     @property
-    def stale_after_moving(self) -> str:
-        """What is wrong once the vertices have moved, such as "normals"; "" if nothing is."""
-        return ", ".join(
+    def stale_after_moving(self) -> list[str]:
+        """What is wrong once vertices have moved one by one, such as "normals"."""
+        return [
             name
             for name, properties in STALE_AFTER_MOVING.items()
             if not properties.isdisjoint(self.vertex.properties)
-        )
+        ]
+
+    def left_behind(self, matrix: Array) -> list[str]:
+        """What is wrong once ``matrix`` [4, 4] moved the whole file.
+
+        It is what this reader does not know, such as rotations of two numbers.
+        """
+        move = similarity_of(matrix)
+        if move is None:
+            return []
+        affected = (TURNS if move.turns else {}) | (GROWS if move.size != 1.0 else {})
+        along = {
+            name for one in self._along(move) if one.element is self.vertex for name in one.names
+        }
+        left = [name for name in self.vertex.properties if name not in along]
+        return [kind for kind, form in affected.items() if any(map(form.fullmatch, left))]
 
     def read(self) -> Array:
         """The coordinates [N, 3] of the vertices, in the file's order."""
@@ -221,25 +260,49 @@ class PlyFile(MovableFile):
             fans.append(np.stack(triangles, axis=1).reshape(-1, 3).astype(np.int64))
         return np.concatenate(fans)
 
-    def with_points(self, points: Array) -> bytes:
+    def with_points(self, points: Array, matrix: Array | None = None) -> bytes:
         """The file with its vertices moved to ``points`` [N, 3]; all other bytes stay.
 
-        Integer coordinates become double. In a text file only the numbers that change are written
+        ``matrix`` [4, 4] moved the whole file before: normals of vertices and faces, and Gaussian
+        splats, move along with it.
+
+        Integers that change become double. In a text file only the numbers that change are written
         again. They get the digits of their type; if the text has more digits than that, they get
         the digits of a double.
         """
-        old = self.read()
-        if np.array_equal(old, points):
+        old, move = self.read(), similarity_of(matrix)
+        if move is None and np.array_equal(old, points):
             return self.data
+        along = [] if move is None else self._along(move)
         head = self.data[: self.header.size]
-        integers = [
-            self.vertex.properties[axis]
-            for axis, kind in zip(AXES, self.kinds, strict=True)
-            if kind[0] != "f"
-        ]
+        changing = [(self.vertex, AXES), *((one.element, one.names) for one in along)]
+        found = (element.properties[name] for element, names in changing for name in names)
+        integers = [p for p in found if p.kind[0] != "f"]
         for begin, end in sorted((p.type_span for p in integers), reverse=True):
             head = head[:begin] + b"double" + head[end:]
-        return head + self._body.moved(self._places, self.kinds, old, points)
+        with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file
+            return head + self._body.changed(self._changes(old, points, along))
+
+    def _changes(self, old: Array, points: Array, along: list[_Along]) -> Iterator[Change]:
+        yield Change(self._places, self.kinds, old, points)
+        for element, names, moved in along:
+            kinds = [element.properties[name].kind for name in names]
+            for first in range(0, len(self._rows[element.name]), BLOCK):
+                places = self._places_of(element, names, slice(first, first + BLOCK))
+                values = self._body.columns(places, kinds)
+                yield Change(places, kinds, values, moved(values))
+
+    def _along(self, move: Similarity) -> list[_Along]:
+        """What ``move`` changes besides coordinates."""
+        along = []
+        for element in filter(None, map(self.header.elements.get, ("vertex", "face"))):
+            scalars = {p.name for p in element.properties.values() if not p.length_kind}
+            if move.turns:
+                normals = [names for names in NORMALS if scalars.issuperset(names)]
+                along += [_Along(element, names, move.turned) for names in normals]
+            if element is self.vertex:
+                along += [_Along(element, *group) for group in moved_along(scalars, move)]
+        return along
 
 
 def new_ply(

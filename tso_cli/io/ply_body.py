@@ -6,9 +6,9 @@ counts words. Otherwise the two do the same, by methods of the same names.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,15 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from .ply_header import Element
 from .reading import TextTable, shown
+
+
+class Change(NamedTuple):
+    """Values that change: their places [N, K], the kinds of the K columns, old and new [N, K]."""
+
+    places: Indices
+    kinds: Sequence[str]
+    old: Array
+    new: Array
 
 
 def layout(
@@ -125,17 +134,21 @@ class BinaryBody:
                 "expected none"
             )
 
-    def moved(self, places: Indices, kinds: Sequence[str], old: Array, points: Array) -> bytes:
-        """The body with the values ``points`` [N, K] in place of ``old`` at ``places`` [N, K]."""
+    def changed(self, changes: Iterable[Change]) -> bytes:
+        """The body with its ``changes``; integers become double."""
         out = bytearray(self.data)
-        for k, kind in enumerate(kinds):
-            if kind[0] == "f":
-                self._view(out, kind)[places[:, k]] = points[:, k]
-        integers = [k for k, kind in enumerate(kinds) if kind[0] != "f"]
-        starts = places[:, integers]
-        ends = starts + np.array([self.width(kinds[k]) for k in integers], dtype=np.int64)
-        words: NDArray[Any] = points[:, integers].astype(self._order + "f8").view("V8")
-        return spliced(out, self._start, starts.ravel(), ends.ravel(), words.ravel())
+        starts, ends = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+        words: list[NDArray[Any]] = [np.empty(0, "V8")]
+        for places, kinds, _, new in changes:
+            for k, kind in enumerate(kinds):
+                if kind[0] == "f":
+                    self._view(out, kind)[places[:, k]] = new[:, k]
+                else:
+                    starts.append(places[:, k])
+                    ends.append(places[:, k] + self.width(kind))
+                    words.append(new[:, k].astype(self._order + "f8").view("V8"))
+        spans = np.concatenate(starts), np.concatenate(ends), np.concatenate(words)
+        return spliced(out, self._start, *spans)
 
 
 class TextBody:
@@ -193,20 +206,21 @@ class TextBody:
                 "expected the same"
             )
 
-    def moved(self, places: Indices, kinds: Sequence[str], old: Array, points: Array) -> bytes:
+    def changed(self, changes: Iterable[Change]) -> bytes:
         starts, ends, words = [], [], []
-        for k, kind in enumerate(kinds):
-            new: NDArray[Any] = points[:, k]
-            was: NDArray[Any] = old[:, k]
-            with np.errstate(over="ignore"):
-                single = was.astype(np.float32)
-            if kind == "f4" and np.array_equal(single.astype("S32").astype(np.float64), was):
-                # The text has no more digits than its type.
-                new, was = new.astype(np.float32), single
-            changed = new != was
-            starts.append(self._table.starts[places[changed, k]])
-            ends.append(self._table.ends[places[changed, k]])
-            words.append(new[changed].astype("S32"))
+        for change in changes:
+            for k, kind in enumerate(change.kinds):
+                new: NDArray[Any] = change.new[:, k]
+                was: NDArray[Any] = change.old[:, k]
+                with np.errstate(over="ignore"):
+                    single = was.astype(np.float32)
+                if kind == "f4" and np.array_equal(single.astype("S32").astype(np.float64), was):
+                    # The text has no more digits than its type.
+                    new, was = new.astype(np.float32), single
+                differs = new != was
+                starts.append(self._table.starts[change.places[differs, k]])
+                ends.append(self._table.ends[change.places[differs, k]])
+                words.append(new[differs].astype("S32"))
         spans = np.concatenate(starts), np.concatenate(ends), np.concatenate(words)
         return spliced(self._table.data, self._start, *spans)
 

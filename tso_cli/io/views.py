@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.camera import Camera
+from ..geometry.camera import Camera, intrinsics
 from ..geometry.distortion import Distortion, undistorted
 from ..geometry.view import View
 from .cameras import (
@@ -25,7 +26,7 @@ from .cameras import (
     same_shape,
     words_of,
 )
-from .images import orientation, read_depth, read_image, resized
+from .images import focal_length_of_exif, orientation, read_depth, read_image, resized
 from .masks import MaskChoice, read_mask
 
 NO_FILE = "(no camera file was given or found next to the mask)"
@@ -39,6 +40,8 @@ class ViewFiles:
     camera : the file or folder of all cameras; None looks for files next to the masks.
     camera_format : its format; None finds out. object_id : the object of a data set with several.
     intrinsics : a camera file whose K is used in place of that of ``camera``.
+    focal, fov : without a camera: the focal length in px of the mask, or the horizontal field of
+        view in degrees.
     choice : which object of a mask file is meant.
     any_size : images may be larger or smaller than their masks, and are resized.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
@@ -49,6 +52,8 @@ class ViewFiles:
     camera_format: str | None = None
     object_id: int | None = None
     intrinsics: Path | None = None
+    focal: float | None = None
+    fov: float | None = None
     ignore: Sequence[Path] = ()
     depth: Sequence[Path] = ()
     depth_scale: float = 1.0
@@ -138,21 +143,60 @@ def load_views(files: ViewFiles) -> tuple[list[View], list[CameraOrigin]]:
     return views, found
 
 
-def view_without_camera(files: ViewFiles) -> View:
-    """The view of a single mask with the canonical pose, and K of `ViewFiles.intrinsics`."""
+@dataclass(frozen=True)
+class KnownFocal:
+    """What is known of the focal length of a picture without a camera.
+
+    source : where it is from, in words; "" if nothing is known. deviation : the standard deviation
+    of its logarithm: 0 if it is given, None if nothing is known.
+    """
+
+    source: str = ""
+    deviation: float | None = None
+
+    # A lens at another distance or zoom than EXIF says, and rounding to whole millimetres.
+    OF_EXIF = 0.05
+
+
+def view_without_camera(files: ViewFiles) -> tuple[View, KnownFocal]:
+    """The view of a single mask with the canonical pose, and what its K is from.
+
+    K is of `ViewFiles.intrinsics`, `focal` or `fov`, else of the EXIF data of the photo, else the
+    canonical camera's.
+    """
     (mask,) = files.masks
     (ignore,) = files.one_each("ignore", "ignore maps", files.ignore)
     view, _ = _read_view(mask, None, CameraOrigin(None), ignore, files.choice)
     ((view, _),) = with_depth_and_images([view], files, [False])
     if files.intrinsics is None:
-        return view
+        return _with_focal(view, files)
     canonical = PartialCamera("", R=view.camera.R, t=view.camera.t)
     given, _ = read_partial_cameras(files.intrinsics)
     known = with_intrinsics(canonical, given, files.intrinsics, mask)
     height, width = view.mask.shape
     view = replace(view, camera=known.camera(files.intrinsics, width, height))
     lens = known.distortion
-    return view if lens is None or lens.none else _without_distortion(view, lens)
+    if lens is not None and not lens.none:
+        view = _without_distortion(view, lens)
+    return view, KnownFocal(f"K of {files.intrinsics}", 0.0)
+
+
+def _with_focal(view: View, files: ViewFiles) -> tuple[View, KnownFocal]:
+    height, width = view.mask.shape
+    focal, known = files.focal, KnownFocal("the given focal length", 0.0)
+    if files.fov is not None:
+        focal = width / 2.0 / math.tan(math.radians(files.fov) / 2.0)
+        known = KnownFocal("the given field of view", 0.0)
+    if focal is None:
+        for photo in (*files.image, *files.masks):
+            if share := focal_length_of_exif(photo):
+                focal = share * math.hypot(width, height)
+                known = KnownFocal(f"the EXIF data of {photo.name}", KnownFocal.OF_EXIF)
+                break
+    if focal is None:
+        return view, KnownFocal()
+    K = intrinsics(focal, width, height)
+    return replace(view, camera=replace(view.camera, K=K)), known
 
 
 def named_photos(files: ViewFiles) -> list[Path]:

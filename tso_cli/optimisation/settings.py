@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..pose.asked import Asked, Keep
 from .presets import Mode, Preset, Recipe
 
 
@@ -24,7 +25,8 @@ class Settings:
     symmetry: str
     sigma_sq: float
     device: str
-    refine_camera: bool
+    move: Asked
+    keep: Keep
     accept_doubtful: bool
     points: int | None
     seconds: float

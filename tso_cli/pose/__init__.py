@@ -1,3 +1,1 @@
-"""The camera of a picture, estimated from its mask and a cloud alone, in numpy."""
-
-from .fit import Alternative, FittedCamera, fit_camera
+"""Where a cloud stands before its cameras, found from masks, in numpy."""

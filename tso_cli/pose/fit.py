@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from ..geometry.arrays import Array
-from ..geometry.camera import CANONICAL_FOCAL_AT_64, Camera
-from ..geometry.points import as_points, bounding_box_normalisation, farthest_point_sample
-from ..geometry.resampling import area_resize
+from ..geometry.arrays import Array, Floats
+from ..geometry.camera import CANONICAL_FOCAL_AT_64, Camera, intrinsics
+from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
-from .alignment import Poses, Target, improve
-from .starts import closed_iou, distinct, starts
+from .appearance import appearance, decides
+from .everywhere import Candidates, search_everywhere, spacing, spread_points
+from .levenberg import Freedom
+from .placement import FOCAL, SHIFT, TURN, UNKNOWNS, Placements
+from .search import EXPLAINED, Comparison
 
 
 class Focal:
@@ -24,38 +26,15 @@ class Focal:
 
     MEAN = CANONICAL_FOCAL_AT_64 / 64.0  # in longer sides of the image
     DEVIATION = 0.35  # standard deviation of the logarithm
-    # Tried, in multiples of the prior's. One fits as well if it loses less IoU than the tolerance.
-    FACTORS = np.array([0.5, 0.7, 1.0, 1.4, 2.0])
-    IOU_TOLERANCE = 0.01
+    # Tried, in multiples of the prior's. One fits as well if it misses no larger share of the
+    # contour than this beyond what the best misses.
+    FACTORS = np.array([0.4, 0.5, 0.7, 1.0, 1.4, 2.0])
+    TOLERANCE = 0.03
 
 
-# Largest difference of fx and fy, as a share, of pixels that a fit takes as square.
-SQUARE = 0.02
-
-
-class Points:
-    """Numbers of points of a cloud."""
-
-    FEWEST = 16
-    # Larger clouds are thinned at random before farthest points are chosen, to save time.
-    THINNED = 4096
-    SCORED = 1024  # in the end
-
-
-@dataclass(frozen=True)
-class _Search:
-    """One of the two searches, each faster or finer than the other."""
-
-    size: int  # side of the square, px
-    points: int  # of the cloud
-    poses: int  # most poses that are improved
-    degrees: float  # a pose within this angle of a better one is dropped
-    steps: int  # of Gauss-Newton
-    robust: float  # scale of distances, px
-
-
-COARSE = _Search(size=32, points=256, poses=48, degrees=20.0, steps=12, robust=6.0)
-FINE = _Search(size=64, points=512, poses=12, degrees=10.0, steps=20, robust=4.0)
+FEWEST_POINTS = 16
+# Poses that differ by less fit a mask alike: of the share that they miss, or of the IoU.
+ALIKE = 0.1
 
 
 @dataclass(frozen=True)
@@ -64,7 +43,9 @@ class Alternative:
 
     camera: Camera
     iou: float
+    missed: float
     degrees: float
+    unlike_photo: bool = False  # whether the photo shows that the first pose is right
 
 
 @dataclass(frozen=True)
@@ -75,7 +56,7 @@ class FittedCamera:
 
     iou : IoU of mask and cloud, both dilated by the distance between points to close the gaps of
         the cloud.
-    confidence : ``iou`` minus the IoU of the best alternative.
+    missed : the share of the mask's contour that the cloud misses (`Comparison.missed`).
     alternatives : other poses, best first. They lie over 20 degrees from the best pose and from
         each other, and are no symmetry of the cloud.
     focal_range : px, shortest and longest of the focal lengths tried (half to twice the prior)
@@ -84,12 +65,13 @@ class FittedCamera:
 
     camera: Camera
     iou: float
-    confidence: float
+    missed: float
     alternatives: tuple[Alternative, ...]
     focal_range: tuple[float, float]
 
-    # A sure pose has at least this IoU, and exceeds the IoU of the best alternative by this gap.
-    SURE_IOU, SURE_GAP = 0.75, 0.05
+    # A sure pose misses at most this share of the contour, and the best alternative misses more by
+    # at least this gap.
+    SURE_MISSED, SURE_GAP = EXPLAINED, 0.1
 
     def describe(self) -> str:
         """One line for the log."""
@@ -111,15 +93,44 @@ class FittedCamera:
     @property
     def sure(self) -> bool:
         """Whether the camera fits well, and no alternative fits about as well."""
-        return self.iou >= self.SURE_IOU and self.confidence >= self.SURE_GAP
+        return self.missed <= self.SURE_MISSED and self.gap >= self.SURE_GAP
+
+    def chosen(self, number: int) -> FittedCamera:
+        """The alternative of that ``number``, as the fitted camera; 0 for this one.
+
+        Raises InputError if there is none.
+        """
+        if number == 0:
+            return self
+        if number > len(self.alternatives):
+            raise InputError(
+                f"pose {number} was asked for, expected 0 to {len(self.alternatives)}, as no other "
+                "poses were found"
+            )
+        one = self.alternatives[number - 1]
+        own = Alternative(self.camera, self.iou, self.missed, 0.0)
+        turned = [
+            replace(other, degrees=float(angle_between(other.camera.R, one.camera.R)))
+            for other in (own, *self.alternatives)
+            if other is not one
+        ]
+        return replace(
+            self, camera=one.camera, iou=one.iou, missed=one.missed, alternatives=tuple(turned)
+        )
+
+    @property
+    def gap(self) -> float:
+        """How much more of the contour the best alternative misses that looks like the photo."""
+        rivals = [one.missed for one in self.alternatives if not one.unlike_photo]
+        return min(rivals, default=1.0) - self.missed
 
     @property
     def why_unsure(self) -> str:
         """Why the camera is not sure, if it is not."""
-        if self.iou < self.SURE_IOU or not self.alternatives:
+        if self.missed > self.SURE_MISSED or not self.alternatives:
             return (
-                f"it brings the cloud onto the mask with an IoU of {self.iou:.3f}, "
-                f"expected at least {self.SURE_IOU}"
+                f"the cloud misses {self.missed:.0%} of the mask's contour, "
+                f"expected at most {self.SURE_MISSED:.0%}"
             )
         other = self.alternatives[0]
         return (
@@ -135,15 +146,13 @@ def fit_camera(
     focal: float | None = None,
     name: str = "mask",
     K: ArrayLike | None = None,
+    deviation: float | None = None,
+    image: Floats | None = None,
+    colours: Floats | None = None,
 ) -> FittedCamera:
     """Find the camera that projects ``points`` [N, 3] onto the mask [H, W] in [0, 1].
 
-    1. 2,700 poses over all directions are scored by coarse silhouettes.
-    2. The best 48 distinct poses are improved by Gauss-Newton steps on nearest neighbours in the
-       image.
-    3. The best 12 of them are improved at twice the resolution.
-
-    The result depends on the arguments alone.
+    The search is `search_everywhere`. The result depends on the arguments alone.
 
     Parameters
     ----------
@@ -151,124 +160,96 @@ def fit_camera(
     focal : mean of the prior on the focal length, px; None for the canonical camera's, 1.875 times
         the longer side of the image.
     K : [3, 3], if the intrinsics are known; then only the pose is fitted.
+    deviation : standard deviation of the logarithm of the focal length by the prior; None for 0.35.
+    image, colours : the photo [H, W, 3] and the colours of the points [N, 3], in [0, 1]; they tell
+        poses apart that fit the mask alike (`appearance`).
 
     Raises InputError if the cloud has no extent or under 16 points, the mask has no object or no
     background, or the pixels of K are not square.
     """
     array = as_points(points)
-    if len(array) < Points.FEWEST:
+    if len(array) < FEWEST_POINTS:
         raise InputError(
             f"the cloud holds {len(array)} points, "
-            f"expected at least {Points.FEWEST} to fit a camera to a mask"
+            f"expected at least {FEWEST_POINTS} to fit a camera to a mask"
         )
     centre, unit = bounding_box_normalisation(array)
-    local = _spread_points((array - centre) / unit)
-    image = np.asarray(mask, dtype=np.float32)
-    height, width = image.shape
-    camera, deviation = Camera.canonical(width, height), Focal.DEVIATION
-    if K is not None:
-        camera, deviation = replace(camera, K=np.asarray(K)), 0.0
-        fx, fy = camera.K[0, 0], camera.K[1, 1]
-        if abs(fx - fy) > SQUARE * fx:
-            raise InputError(f"K has fx = {fx:g} and fy = {fy:g}, expected square pixels for a fit")
-        focal = float(fx + fy) / 2.0
-    view = View(image, camera, known, name)
-    crop = _Crop.around(view)
-    focal = Focal.MEAN * max(width, height) if focal is None else focal
-
-    coarse, fine = crop.target(view, COARSE.size), crop.target(view, FINE.size)
-    zoom = FINE.size / COARSE.size
-    coarse_focal = focal * COARSE.size / crop.side
-    fine_focal = coarse_focal * zoom
-    fine_points, coarse_points = local[: FINE.points], local[: COARSE.points]
-    poses, score = starts(fine_points, coarse, coarse_focal)
-    poses = poses[distinct(poses, score, COARSE.degrees, COARSE.poses)]
-    prior = coarse_focal, deviation
-    poses = improve(coarse_points, poses, coarse, COARSE.steps, prior, COARSE.robust)
-    score = closed_iou(fine_points, poses, coarse, _spacing(fine_points))
-    poses = poses[distinct(poses, score, FINE.degrees, FINE.poses)].resized(zoom)
-    prior = fine_focal, deviation
-    poses = improve(fine_points, poses, fine, FINE.steps, prior, FINE.robust)
-    spacing = _spacing(local)
-    score = closed_iou(local, poses, fine, spacing)
-    order = distinct(poses, score, degrees=20.0, count=len(poses))
-    poses, score = poses[order], score[order]
-
-    cameras = [crop.camera(poses[i : i + 1], view, centre, unit) for i in range(len(poses))]
-    ious, degrees = score.tolist(), angle_between(poses.R, poses.R[0]).tolist()
+    local = (array - centre) / unit
+    shown = np.asarray(mask, dtype=np.float32)
+    height, width = shown.shape
+    unknowns: list[slice | int] = [TURN, SHIFT]
+    if K is None:
+        focal = Focal.MEAN * max(width, height) if focal is None else focal
+        K = intrinsics(focal, width, height)
+        unknowns.append(FOCAL)
+    view = View(
+        shown, Camera(np.asarray(K, np.float64), np.eye(3), np.zeros(3), width, height), known, name
+    )
+    deviations = np.full(UNKNOWNS, np.inf)
+    deviations[FOCAL] = deviation or Focal.DEVIATION
+    freedom = replace(Freedom.of(Placements.unmoved(), *unknowns), deviation=deviations)
+    found = search_everywhere(local, [view], freedom)
+    seen = np.zeros(len(found.missed))
+    if image is not None and colours is not None:
+        with_photo = replace(view, image=image)
+        seen = appearance(local, np.asarray(colours, np.float64), found.placements, with_photo)
+        found, seen = _by_photo(found, seen)
+    placements, spread = found.placements, spread_points(local)
+    degrees = angle_between(placements.R, placements.R[0])
+    cameras = [
+        _camera(view.camera, placements[i : i + 1], centre, unit) for i in range(len(placements))
+    ]
     alternatives = tuple(
-        Alternative(cameras[i], ious[i], degrees[i])
-        for i in range(1, len(poses))
-        if not _same_by_symmetry(local, poses.R[0], poses.R[i], spacing)
+        Alternative(
+            cameras[i],
+            float(found.iou[i]),
+            float(found.missed[i]),
+            float(degrees[i]),
+            decides(float(seen[0]), float(seen[i])),
+        )
+        for i in range(1, len(placements))
+        if not _same_by_symmetry(spread, placements.R[0], placements.R[i], spacing(spread))
     )
-    if K is not None:
-        gap = ious[0] - alternatives[0].iou if alternatives else ious[0]
-        cameras = [replace(one, K=camera.K) for one in cameras[:1]]
-        return FittedCamera(cameras[0], ious[0], gap, alternatives, (focal, focal))
-    # Focal lengths that fit as well after the rest of the pose is fitted to them.
-    repeats = np.zeros(len(Focal.FACTORS), dtype=np.int64)
-    fixed = replace(poses[repeats], focal=fine_focal * Focal.FACTORS)
-    fixed = improve(fine_points, fixed, fine, FINE.steps // 2, (fixed.focal, 0.0), FINE.robust)
-    fits = closed_iou(local, fixed, fine, spacing) >= ious[0] - Focal.IOU_TOLERANCE
-    focal_lengths = np.append(fixed.focal[fits], poses.focal[0]) * crop.side / FINE.size
+    focal_range = _focal_range(local, view, found) if FOCAL in unknowns else (1.0, 1.0)
+    low, high = (float(view.camera.K[0, 0] * factor) for factor in focal_range)
     return FittedCamera(
-        cameras[0],
-        ious[0],
-        ious[0] - alternatives[0].iou if alternatives else ious[0],
-        alternatives,
-        (float(focal_lengths.min()), float(focal_lengths.max())),
+        cameras[0], float(found.iou[0]), float(found.missed[0]), alternatives, (low, high)
     )
 
 
-@dataclass(frozen=True)
-class _Crop:
-    """A square of the image around the object: left and top edge, and side, px.
+def _by_photo(found: Candidates, seen: Array) -> tuple[Candidates, Array]:
+    """The candidates, with the one first that the photo shows to be right, if it fits alike."""
+    alike = (found.missed <= found.missed[0] + ALIKE) | (found.iou >= found.iou[0] - ALIKE)
+    best = int(np.where(alike, seen, -np.inf).argmax())
+    if not decides(float(seen[best]), float(seen[0])):
+        return found, seen
+    order = np.array([best, *(i for i in range(len(seen)) if i != best)])
+    return Candidates(found.placements[order], found.missed[order], found.iou[order]), seen[order]
 
-    The side is 1.3 longer sides of the mask's box, so that poses beyond the mask can be scored.
+
+def _camera(camera: Camera, placement: Placements, centre: Array, unit: float) -> Camera:
+    """The camera of the cloud as given, for its one ``placement`` before ``camera``."""
+    # The product of many small rotations is a rotation only up to rounding.
+    u, _, vt = np.linalg.svd(placement.R[0])
+    R, K = u @ vt, camera.K.copy()
+    K[:2, :2] *= placement.focal[0]
+    return replace(camera, K=K, R=R, t=unit * placement.t[0] - R @ centre)
+
+
+def _focal_range(points: Array, view: View, found: Candidates) -> tuple[float, float]:
+    """The smallest and largest factor of the focal length that fits as well as the best.
+
+    The rest of the pose is fitted to each.
     """
-
-    left: float
-    top: float
-    side: float
-
-    @classmethod
-    def around(cls, view: View) -> _Crop:
-        left, top, right, bottom = view.box()
-        side = max(right - left, bottom - top) * 1.3
-        return cls((left + right - side) / 2.0, (top + bottom - side) / 2.0, side)
-
-    def target(self, view: View, size: int) -> Target:
-        box = (self.left, self.top, self.left + self.side, self.top + self.side)
-        mask, known = area_resize(view.mask, box, size, size, weights=view.known)
-        principal = (view.camera.K[:2, 2] - [self.left, self.top]) * (size / self.side) - 0.5
-        return Target(mask, known, principal, view.truncated)
-
-    def camera(self, poses: Poses, view: View, centre: Array, unit: float) -> Camera:
-        """The one pose, of the fine target, as a camera of the image for the cloud as given."""
-        zoom = self.side / FINE.size
-        K = view.camera.K.copy()
-        K[0, 0] = K[1, 1] = poses.focal[0] * zoom
-        # The product of many small rotations is a rotation only up to rounding.
-        u, _, vt = np.linalg.svd(poses.R[0])
-        R = u @ vt
-        offset = (poses.centre[0] + 0.5) * zoom + [self.left, self.top] - K[:2, 2]
-        t = np.append(offset, K[0, 0]) / (poses.scale[0] * zoom)
-        return Camera(K, R, t * unit - R @ centre, view.camera.width, view.camera.height)
-
-
-def _spread_points(points: Array) -> Array:
-    """At most 1,024 of ``points``; for every k the first k of them are spread evenly."""
-    if len(points) > Points.THINNED:
-        points = points[np.random.default_rng(0).permutation(len(points))[: Points.THINNED]]
-    return points[farthest_point_sample(points, min(Points.SCORED, len(points)))]
-
-
-def _spacing(points: Array) -> float:
-    """Median distance from a point to its nearest neighbour."""
-    from scipy.spatial import cKDTree
-
-    distance, _ = cKDTree(points).query(points, 2)
-    return float(np.median(distance[:, 1]))
+    best = found.placements[np.zeros(len(Focal.FACTORS), np.int64)]
+    # The cloud keeps its size in the picture.
+    further = (Focal.FACTORS / best.focal)[:, None] * [0.0, 0.0, 1.0] + [1.0, 1.0, 0.0]
+    held = replace(best, focal=Focal.FACTORS, t=best.t * further)
+    comparison = Comparison.of(points, [view])
+    held, _ = comparison.settled(held, Freedom.of(Placements.unmoved(), TURN, SHIFT))
+    as_well = comparison.missed(held) <= found.missed[0] + Focal.TOLERANCE
+    factors = np.append(held.focal[as_well], best.focal[0])
+    return float(factors.min()), float(factors.max())
 
 
 def _same_by_symmetry(points: Array, first: Array, second: Array, spacing: float) -> bool:

@@ -1,63 +1,146 @@
-"""Starting poses over all directions, and the scores of poses."""
+"""Starting placements over all directions, and the scores of placements."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.arrays import Array
 from ..geometry.rotations import angle_between, spread
-from .alignment import Poses, Target, project
+from .levenberg import Freedom
+from .placement import SHIFT, SIZE, UNKNOWNS, Placements
+from .target import Projected, Target
 
-# Width in cells of the border around the image that collects the points outside the image.
+# Width in cells of the border around the square that collects the points outside.
 BORDER = 2
+# Viewing directions are 16 degrees apart, and in-plane rotations 20 degrees.
+DIRECTIONS, TURNS = 150, 18
+# Placements that are looked at together; it bounds the memory.
+AT_ONCE = 600
+# Because of perspective the box of a cloud is only roughly proportional to its size. Two
+# corrections are enough.
+CORRECTIONS = 2
+# Weight of the place along a single ray, which several rays outweigh.
+SINGLE_RAY = 1e-6
+# The centre of the cloud.
+CENTRE = np.zeros((1, 3))
 
 
-def starts(points: Array, target: Target, focal: float) -> tuple[Poses, Array]:
-    """Starting poses over all directions, and their scores (`coarse_iou`).
+def starts(points: Array, targets: Sequence[Target], freedom: Freedom) -> tuple[Placements, Array]:
+    """Placements in all rotations, and their scores (`coarse_iou`).
 
-    With its scale and centre, the box of the projected ``points`` [N, 3] (longest side 1, centred)
-    has the area and the middle of the mask's box. ``focal`` is in px of the target.
+    With its place and size, the box of the projected ``points`` [N, 3] has the middle and the size
+    of the mask's box in each view, as far as ``freedom`` lets it.
     """
-    # Viewing directions are 16 degrees apart, and in-plane rotations 20 degrees.
-    rotations = spread(directions=150, turns=18)
-    inside = target.inside()
-    low, high = inside.min(0) - 0.5, inside.max(0) + 0.5
-    middle, size = (low + high) / 2.0, float(np.sqrt(np.prod(high - low)))
+    of_first = targets[0].camera
+    rotations = of_first.R.T @ spread(DIRECTIONS, TURNS)
     batches, scores = [], []
-    at_once = 600  # it bounds the memory
-    for R in (rotations[i : i + at_once] for i in range(0, len(rotations), at_once)):
-        poses = Poses(
-            R,
-            np.tile(middle, (len(R), 1)),
-            np.full(len(R), min(size, focal)),
-            np.full(len(R), focal),
-        )
-        # Because of perspective the box is only roughly proportional to the scale. Two iterations
-        # are enough.
-        for _ in range(2):
-            px, _, _ = project(points, poses, target.principal)
-            first, last = px.min(1), px.max(1)
-            growth = size / np.sqrt(np.maximum(np.prod(last - first, axis=1), 1.0))
-            centre = poses.centre + (middle - (first + last) / 2.0)
-            poses = Poses(R, centre, np.minimum(poses.scale * growth, focal), poses.focal)
-        batches.append(poses)
-        scores.append(coarse_iou(points, poses, target))
-    return Poses.joined(batches), np.concatenate(scores)
+    for R in (rotations[i : i + AT_ONCE] for i in range(0, len(rotations), AT_ONCE)):
+        placements = _before_cameras(R, targets, freedom)
+        for _ in range(CORRECTIONS):
+            placements = _with_boxes(points, placements, targets, freedom)
+        batches.append(placements)
+        scores.append(coarse_iou(points, placements, targets))
+    return Placements.joined(batches), np.concatenate(scores)
 
 
-def coarse_iou(points: Array, poses: Poses, target: Target) -> Array:
-    """Soft IoU [P] of the mask and the cells of the points, both dilated.
+def _box(target: Target) -> tuple[Array, float]:
+    """Middle [2] and size of the object's box, in cells."""
+    low, high = target.cells.min(0) - 0.5, target.cells.max(0) + 0.5
+    return (low + high) / 2.0, float(np.sqrt(np.prod(high - low)))
 
-    If only the points were dilated, poses that make the cloud small and dense would score best.
+
+def _ray(target: Target) -> tuple[Array, Array]:
+    """Where the ray through the middle of the mask begins [3], and its way to depth 1 [3]."""
+    camera, (middle, _) = target.camera, _box(target)
+    plane = np.linalg.solve(camera.K[:2, :2], middle - camera.K[:2, 2])
+    if camera.model == "orthographic":
+        return camera.R.T @ (np.append(plane, 0.0) - camera.t), camera.R[2]
+    return camera.position, camera.R.T @ np.append(plane, 1.0)
+
+
+def _before_cameras(R: Array, targets: Sequence[Target], freedom: Freedom) -> Placements:
+    """The cloud in rotations ``R`` where the rays through the middles of the masks meet."""
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    for target in targets:
+        begin, ray = _ray(target)
+        across = np.eye(3) - np.outer(ray, ray) / (ray @ ray)
+        normal += across
+        right += across @ begin
+    # Along a single ray the cloud stands where its size fits.
+    begin, ray = _ray(targets[0])
+    fitting = begin + ray * targets[0].camera.K[0, 0] / _box(targets[0])[1]
+    t = np.linalg.solve(normal + SINGLE_RAY * np.eye(3), right + SINGLE_RAY * fitting)
+    size = np.ones(len(R))
+    if freedom.basis[SIZE].any():
+        seen = Placements(np.eye(3)[None], t[None], np.ones(1), np.ones(1))
+        logs = [
+            np.log(_box(one)[1] / (one.camera.K[0, 0] * one.project(CENTRE, seen).inverse[0, 0]))
+            for one in targets
+        ]
+        size = np.full(len(R), np.exp(np.mean(logs)))
+    return Placements(R, np.tile(t, (len(R), 1)), size, np.ones(len(R)))
+
+
+def _with_boxes(
+    points: Array, placements: Placements, targets: Sequence[Target], freedom: Freedom
+) -> Placements:
+    """One Gauss-Newton step of place and size that fits the boxes of cloud and masks."""
+    count = len(placements)
+    basis = freedom.basis.copy()
+    basis[[*range(SHIFT.start), *range(SIZE + 1, UNKNOWNS)]] = 0.0
+    u, values, _ = np.linalg.svd(basis, full_matrices=False)
+    basis = u[:, values > 1e-9]
+    normal = np.zeros((count, UNKNOWNS, UNKNOWNS))
+    gradient = np.zeros((count, UNKNOWNS))
+    for target in targets:
+        middle, size = _box(target)
+        seen = target.project(points, placements)
+        first, last = seen.px.min(1), seen.px.max(1)
+        extent = np.sqrt(np.maximum(np.prod(last - first, axis=1), 1.0))
+        centre = target.project(CENTRE, placements)
+        J = centre.jacobian(np.arange(count), np.zeros(count, np.int64))
+        growth = _growth(centre, target, count)
+        residual = middle - (first + last) / 2.0
+        log = np.log(size / extent)
+        # An error of the size by a factor e weighs as much as the size itself.
+        normal += J.transpose(0, 2, 1) @ J + size**2 * growth[:, :, None] * growth[:, None]
+        gradient += (J.transpose(0, 2, 1) @ residual[..., None])[..., 0]
+        gradient += size**2 * growth * log[:, None]
+    normal = basis.T @ normal @ basis
+    normal += 1e-9 * np.einsum("pii->p", normal)[:, None, None] * np.eye(basis.shape[1])
+    step = np.linalg.solve(normal, (gradient @ basis)[..., None])[..., 0] @ basis.T
+    large = np.abs(step[:, SIZE]) + np.linalg.norm(step[:, SHIFT], axis=1) / placements.size
+    return placements.stepped(step / np.maximum(large, 1.0)[:, None])
+
+
+def _growth(centre: Projected, target: Target, count: int) -> Array:
+    """[P, 8] derivative of the logarithm of the cloud's size in the picture."""
+    growth = np.zeros((count, UNKNOWNS))
+    growth[:, SIZE] = 1.0
+    if target.camera.model == "perspective":
+        growth[:, SHIFT] = -centre.inverse[:, 0, None] * target.camera.R[2]
+    return growth
+
+
+def coarse_iou(points: Array, placements: Placements, targets: Sequence[Target]) -> Array:
+    """Soft IoU [P] of the masks and the cells of the points, both dilated; mean over views.
+
+    If only the points were dilated, placements that make the cloud small and dense would score
+    best.
     """
-    size = target.mask.shape[0]
-    px, _, _ = project(points, poses, target.principal)
-    cell = np.clip(np.rint(px), -BORDER, size - 1 + BORDER).astype(np.int64) + BORDER
-    wide = size + 2 * BORDER
-    flat = (np.arange(len(poses))[:, None] * wide + cell[..., 1]) * wide + cell[..., 0]
+    return np.mean([_coarse_iou(points, placements, target) for target in targets], 0)
+
+
+def _coarse_iou(points: Array, placements: Placements, target: Target) -> Array:
+    px = target.project(points, placements).px
+    cell = np.clip(np.rint(px), -BORDER, target.side - 1 + BORDER).astype(np.int64) + BORDER
+    wide = target.side + 2 * BORDER
+    flat = (np.arange(len(placements))[:, None] * wide + cell[..., 1]) * wide + cell[..., 0]
     hits = (
-        np.bincount(flat.ravel(), minlength=len(poses) * wide * wide)
+        np.bincount(flat.ravel(), minlength=len(placements) * wide * wide)
         .reshape(-1, wide, wide)
         .astype(np.float32)
     )
@@ -81,41 +164,48 @@ def _dilated(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return covered
 
 
-def closed_iou(points: Array, poses: Poses, target: Target, radius: float) -> Array:
-    """IoU [P] of mask and cloud, both dilated by ``radius`` (units of the cloud).
+def closed_iou(
+    points: Array, placements: Placements, targets: Sequence[Target], radius: float
+) -> Array:
+    """IoU [P] of masks and cloud, both dilated by ``radius`` (units of the cloud); mean over views.
 
     The dilation closes the gaps between points. Unlike the IoU of a Gaussian silhouette, this IoU
     depends neither on the density of the cloud nor on its size in the picture. Unlike
     `tso_cli.evaluation.footprint`, its coverage is soft at the border of a shape, so that it ranks
-    poses that differ by less than a pixel.
+    placements that differ by less than a cell.
     """
+    return np.mean([_closed_iou(points, placements, target, radius) for target in targets], 0)
+
+
+def _closed_iou(points: Array, placements: Placements, target: Target, radius: float) -> Array:
     from scipy.ndimage import distance_transform_edt
 
-    size = target.mask.shape[0]
-    # [S S, 2] column and row
-    grid = np.indices((size, size))[::-1].reshape(2, -1).T.astype(np.float32)
-    to_mask = distance_transform_edt(~target.foreground())
-    scores = np.empty(len(poses))
-    pixels, _, _ = project(points, poses, target.principal)
-    for i, (px, scale) in enumerate(zip(pixels, poses.scale, strict=True)):
+    grid = np.indices(target.mask.shape)[::-1].reshape(2, -1).T.astype(np.float32)
+    to_mask = distance_transform_edt(~target.inside)
+    seen = target.project(points, placements)
+    depth = target.project(CENTRE, placements).inverse[:, 0]
+    cells = radius * placements.size * placements.focal * depth * target.camera.K[0, 0]
+    scores = np.empty(len(placements))
+    for i, (px, reach) in enumerate(zip(seen.px, cells, strict=True)):
         px = px.astype(np.float32)
         squared = (grid @ (-2.0 * px.T) + np.square(px).sum(1)).min(1) + np.square(grid).sum(1)
-        to_point = np.sqrt(np.maximum(squared, 0.0)).reshape(size, size)
-        # Coverage of pixels, which is soft at the border of a dilated shape.
-        cloud, mask = (
-            np.clip(radius * scale + 0.5 - distance, 0.0, 1.0) for distance in (to_point, to_mask)
-        )
+        to_point = np.sqrt(np.maximum(squared, 0.0)).reshape(target.mask.shape)
+        # Coverage of cells, which is soft at the border of a dilated shape.
+        cloud, mask = (np.clip(reach + 0.5 - d, 0.0, 1.0) for d in (to_point, to_mask))
         intersection = (np.minimum(cloud, mask) * target.known).sum()
         scores[i] = intersection / (np.maximum(cloud, mask) * target.known).sum()
     return scores
 
 
-def distinct(poses: Poses, score: Array, degrees: float, count: int) -> NDArray[np.int64]:
-    """Indices of at most ``count`` poses, best first, none within ``degrees`` of a better one."""
+def distinct(R: Array, score: Array, degrees: float, count: int) -> NDArray[np.int64]:
+    """Indices of at most ``count`` rotations [P, 3, 3], best first.
+
+    None is within ``degrees`` of a better one.
+    """
     order = np.argsort(-score, kind="stable")
     chosen: list[int] = []
     while len(order) and len(chosen) < count:
         best = order[0]
         chosen.append(int(best))
-        order = order[angle_between(poses.R[order], poses.R[best]) > degrees]
+        order = order[angle_between(R[order], R[best]) > degrees]
     return np.array(chosen)

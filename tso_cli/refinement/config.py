@@ -27,6 +27,7 @@ from ..optimisation.presets import (
 )
 from ..optimisation.settings import Settings
 from ..optimisation.symmetry import parse_symmetry
+from ..pose.asked import ASKED, KEEPS, Asked, Keep
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class RefineConfig:
         largest change of a node's vector in the first step; else it is Adam's.
     gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
     sigma_sq : variance of the projection's Gaussian in squared cells of a window of 64. The
-        default is the paper's, 0.4. The preset "paper" and ``refine_camera`` use it.
+        default is the paper's, 0.4. The preset "paper" uses it.
     device : where the network is: "cpu", "cuda", "auto" or any name torch knows. Points mode has
         no network, and runs on the CPU.
     preset : "best", or "paper": Eq. 7 with the paper's settings.
@@ -50,7 +51,14 @@ class RefineConfig:
         "x", "y", "z": the axis normal to a plane through the middle of the start's bounding box;
         or "a,b,c,d": the plane ax + by + cz = d. The default is "auto" with "best" in points mode,
         else "none".
-    refine_camera : first correct the camera of each view, held near the given one; points mode.
+    move : what may move as one before the shape is refined, in points mode: "shape" (nothing),
+        "pose" (the cloud turns and shifts), "similarity" (its size may change too), "camera" (each
+        camera turns and shifts by itself), or "auto" (what explains the misfit with the fewest
+        unknowns, if it leaves nearly none). The default is "auto" with "best" in points mode, else
+        "shape".
+    keep : what stays, where one camera cannot tell the size of a cloud from its distance: "size",
+        "distance", or "auto" (the distance for a shift and a similarity, else the size).
+    only : move as one, and leave the shape as it is.
     accept_doubtful : take the whole displacement although the result is doubtful.
     budget : "auto": the steps of the preset; or seconds, in which the refinement ends. In a batch
         each cloud has that many seconds.
@@ -80,7 +88,9 @@ class RefineConfig:
     device: str = "cpu"
     preset: Preset = "best"
     symmetry: str | None = None
-    refine_camera: bool = False
+    move: Asked | None = None
+    keep: Keep = "auto"
+    only: bool = False
     accept_doubtful: bool = False
     budget: Literal["auto"] | float = "auto"
     points: int | None = None
@@ -88,12 +98,22 @@ class RefineConfig:
     recipe: Recipe = BEST
 
     def __post_init__(self) -> None:
-        for name, known in (("mode", MODES), ("preset", PRESETS)):
+        choices = {"mode": MODES, "preset": PRESETS, "move": (None, *ASKED), "keep": KEEPS}
+        for name, known in choices.items():
             if getattr(self, name) not in known:
                 found = f"{name} is {getattr(self, name)!r}"
-                raise InputError(f"{found}, expected one of {', '.join(known)}")
-        if self.refine_camera and self.mode != "points":
-            raise InputError(f"mode is {self.mode!r}, expected points to refine the camera")
+                raise InputError(f"{found}, expected one of {', '.join(filter(None, known))}")
+        moves = self.move not in (None, "shape")
+        if moves and self.mode != "points":
+            raise InputError(
+                f"mode is {self.mode!r}, expected points for move {self.move}: the other modes "
+                "place their cloud themselves"
+            )
+        if self.only and not moves:
+            raise InputError(
+                "only the move is to be done and nothing may move, expected move pose, similarity, "
+                "camera or auto"
+            )
         self._require_whole("steps", 0, None)
         self._require_whole("points", FEWEST_CONTROL_POINTS, CANDIDATES)
         self._require_number("learning_rate", 1e6)
@@ -162,13 +182,16 @@ class RefineConfig:
             symmetry="auto" if smooth else "none",
             sigma_sq=SIGMA_SQ,
             prior=LEARNED if smooth else NO_PRIOR,
+            move="auto" if smooth else "shape",
             points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if smooth else None,
         )
         chosen = {
             name: value
             for name, value in vars(self).items()
-            if value is not None and name != "budget"
+            if value is not None and name not in ("budget", "only")
         }
+        if self.only:
+            chosen["steps"] = 0
         if "prior" in chosen:
             chosen["prior"] = str(chosen["prior"])
         return Settings(**(defaults | chosen), seconds=seconds, given=frozenset(chosen))

@@ -23,6 +23,7 @@ from ..optimisation.optimise import WeighedProblem
 from ..optimisation.presets import BEST, BEST_POINTS, FEWEST_CONTROL_POINTS
 from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
+from ..pose.move import Move
 from .decisions import decisions
 from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
 
@@ -57,6 +58,7 @@ def judge(
     problem: Problem,
     optimised: Optimised,
     given: Sequence[View],
+    move: Move,
     diagnosis: Diagnosis,
     settings: Settings,
     seconds: dict[str, float],
@@ -64,8 +66,8 @@ def judge(
     """The result of an optimisation.
 
     The displacement is taken as a whole, or in part or not at all where it is likely to make the
-    cloud worse. ``problem`` has the windows of the optimisation. ``given`` are the views with the
-    cameras that were given.
+    cloud worse. ``problem`` has the windows of the optimisation, and the views after the ``move``.
+    ``given`` are the views that were given.
 
     Raises TsoError where the loss of the start, or after the first step, is not a finite number.
     """
@@ -76,7 +78,7 @@ def judge(
         raise TsoError(
             "the loss is not a finite number after the first step (a smaller learning rate?)"
         )
-    ending = _ending(weighed, problem, optimised, given, diagnosis, settings)
+    ending = _ending(weighed, problem, optimised, given, move, diagnosis, settings)
     cloud, moved, weights = problem.cloud, ending.moved, weighed.weights
     lengths = np.linalg.norm(moved.displacements, axis=1)
     begun = cloud.start if optimised.begun is None else optimised.begun.points
@@ -100,7 +102,7 @@ def judge(
     views = tuple(
         ViewFit(
             name=view.name,
-            camera=windowed.view.camera,
+            camera=windowed.view.camera if move.kind == "camera" else view.camera,
             iou_before=before,
             iou_after=after,
             inlier_weight=inlier,
@@ -113,14 +115,15 @@ def judge(
         )
     )
     return RefineResult(
-        points=moved.points,
+        points=move.apply(moved.points),
         initial=cloud.source.points,
-        measured=(cloud.measured, moved.measured),
+        measured=(cloud.measured, move.apply(moved.measured)),
         outliers=cloud.outliers,
         control_points=len(cloud.control_points),
         of_mesh=cloud.source.surface is not None,
         settings=settings,
         fit=fit,
+        move=move,
         views=views,
         symmetry=problem.symmetry,
         trust=ending.trust,
@@ -134,39 +137,40 @@ def _ending(
     problem: Problem,
     optimised: Optimised,
     given: Sequence[View],
+    move: Move,
     diagnosis: Diagnosis,
     settings: Settings,
 ) -> _Ending:
     weights = weighed.weights
     displacements = optimised.best - problem.cloud.start
-    moved, ious = _moved(problem, given, displacements)
-    # Corrected cameras may lower the IoU rightly.
-    same_cameras = all(
-        windowed.view.camera is view.camera
-        for windowed, view in zip(problem.given, given, strict=True)
-    )
+    moved, of_shape = _moved(problem, displacements)
     # The learned prior may have moved a cloud that no step improved.
     improved = optimised.best_step > 0 or (optimised.begun is not None and displacements.any())
     kept: StopReason | None = None if improved else "not_improved"
-    if settings.smooth and same_cameras and problem.masks_alone:
-        kept = _why_start_is_kept(problem, moved, ious, weights.loss) or kept
+    if settings.smooth and problem.masks_alone:
+        kept = _why_start_is_kept(problem, moved, of_shape, weights.loss) or kept
     if kept:
         start = problem.cloud.moved(np.zeros_like(displacements))
-        # Without a displacement the IoU after is the IoU by the corrected camera.
-        ious = [(iou, iou if improved else end) for iou, end in ious]
-        trust = Trust.unchanged(diagnosis).with_camera(diagnosis)
-        return _Ending(start, ious, trust, "unchanged", kept)
+        trust = (
+            Trust.unchanged(diagnosis)
+            if move.kind == "nothing"
+            else Trust.placed(move.explains, diagnosis)
+        )
+        ious = _ious(problem, given, start)
+        return _Ending(start, ious, trust.with_camera(diagnosis), "unchanged", kept)
     unknown = _why_unknown(problem, optimised, settings)
     if unknown:
         trust = Trust.unknown(*unknown, diagnosis)
     else:
         assert weighed.field is not None
-        features = features_of(problem, weighed.field, optimised, ious, weights.inlier, diagnosis)
+        of_problem = problem, weighed.field, optimised, of_shape
+        features = features_of(*of_problem, weights.inlier, diagnosis)
         trust = Trust.of(features, diagnosis)
     if settings.accept_doubtful:
         trust = replace(trust, displacement_taken=1.0)
     if trust.displacement_taken < 1.0:
-        moved, ious = _moved(problem, given, trust.displacement_taken * displacements)
+        moved, _ = _moved(problem, trust.displacement_taken * displacements)
+    ious = _ious(problem, given, moved)
     trust = trust.with_camera(diagnosis)
     if trust.displacement_taken == 0.0:
         return _Ending(moved, ious, trust, "refused", "doubtful")
@@ -194,20 +198,23 @@ def _why_unknown(
     return next(((name, says) for name, says, holds in reasons if holds), None)
 
 
-def _moved(
-    problem: Problem, given: Sequence[View], displacements: Array
-) -> tuple[MovedCloud, Ious]:
-    """The cloud after ``displacements``, and the IoU of each view before and after.
-
-    Before by the given camera, after by the corrected one; both in the same window.
-    """
+def _moved(problem: Problem, displacements: Array) -> tuple[MovedCloud, Ious]:
+    """The cloud after ``displacements``, and the IoU of each view before and after them."""
     moved = problem.cloud.moved(displacements)
+    return moved, _ious(problem, problem.views, moved)
+
+
+def _ious(problem: Problem, before: Sequence[View], moved: MovedCloud) -> Ious:
+    """The IoU of the start in each view of ``before``, and of the ``moved`` cloud afterwards.
+
+    Both are in the same window.
+    """
     ious = []
-    for view, corrected in zip(given, problem.views, strict=True):
-        stages = (problem.cloud.measured, view), (moved.measured, corrected)
+    for first, last in zip(before, problem.views, strict=True):
+        stages = (problem.cloud.measured, first), (moved.measured, last)
         box = common_window(stages)
         ious.append((window_iou(*stages[0], box), window_iou(*stages[1], box)))
-    return moved, ious
+    return ious
 
 
 def _why_start_is_kept(

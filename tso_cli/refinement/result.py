@@ -11,6 +11,7 @@ from ..geometry.arrays import Array, Bits, Box
 from ..geometry.camera import Camera
 from ..optimisation.settings import Settings
 from ..optimisation.symmetry import SymmetryDecision
+from ..pose.move import Move
 from .decisions import Decision
 
 StopReason = Literal[
@@ -27,7 +28,10 @@ Outcome = Literal["moved", "unchanged", "refused"]
 
 @dataclass(frozen=True)
 class Fit:
-    """How the optimisation went, and how far the cloud agrees with its views.
+    """How the optimisation of the shape went, and how far the cloud agrees with its views.
+
+    A move as one (`RefineResult.move`) is no part of it, but the IoU before is that of the cloud
+    and the cameras that were given.
 
     outcome : "moved"; "unchanged": the start was best; or "refused": there was a displacement, and
         it was too doubtful to be taken.
@@ -69,7 +73,7 @@ class Fit:
 class ViewFit:
     """One view in a result.
 
-    name : of the view. camera : as it is meant; with ``refine_camera`` the corrected one.
+    name : of the view. camera : as it is meant, or where it moved to.
     iou_before, iou_after : as in `Fit`.
     inlier_weight : under 1 where the other views contradict the view. loss_weight : of its loss in
         the objective: the inlier weight, divided among views of the same side.
@@ -110,6 +114,7 @@ class RefineResult:
     control_points : how many points moved by themselves; all others follow.
     of_mesh : whether the surface of a mesh was refined.
     settings : every setting with its value. fit, views, symmetry, trust, cost : see there.
+    move : what moved as one before the shape was refined.
     findings : what may be wrong with the input, suspicious ones first; read them before the result
         is used.
     """
@@ -122,6 +127,7 @@ class RefineResult:
     of_mesh: bool
     settings: Settings
     fit: Fit
+    move: Move
     views: tuple[ViewFit, ...]
     symmetry: SymmetryDecision
     trust: Trust
@@ -130,5 +136,5 @@ class RefineResult:
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """The camera of each view; with ``refine_camera`` the corrected one."""
+        """The camera of each view, where it moved to if cameras moved."""
         return tuple(view.camera for view in self.views)

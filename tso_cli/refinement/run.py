@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from functools import partial
 
@@ -11,20 +10,18 @@ from ..diagnosis.examine import Diagnosis, examine
 from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypothesis, verify_plane
 from ..geometry.arrays import Array
-from ..optimisation.camera_correction import corrected_cameras
 from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import WeighedProblem, optimise, weigh
+from ..optimisation.presets import SHORT_SECONDS
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
+from ..pose.move import find_move, unmoved
 from ..prior import named_prior
 from .clock import Clock
 from .judge import judge
 from .result import RefineResult
 from .scene import RefineScene
-
-# The share of the time left that the correction of cameras may take.
-TIME_FOR_CAMERAS = 0.5
 
 
 def run(
@@ -42,6 +39,13 @@ def run(
     with clock.phase("prepare"):
         prior = named_prior(settings.prior)
         cloud = scene.cloud.controlled(settings.points, scene.views)
+    asked = settings.move
+    if asked == "auto" and settings.seconds < SHORT_SECONDS * len(scene.views):
+        asked = "shape"  # there is no time to look for a move that was not asked for
+    find = partial(find_move, cloud.body, scene.views, asked, settings.keep)
+    move = clock.attempt("place", find, unmoved(scene.views))
+    given, scene = scene.views, scene.after(move)
+    with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
@@ -58,7 +62,8 @@ def run(
     if clock.interrupted:
         optimised = replace(optimised, interrupted=True)
     with clock.phase("judge"):
-        return judge(weighed, problem, optimised, scene.views, diagnosis, settings, clock.seconds)
+        of_run = weighed, problem, optimised, given, move, diagnosis
+        return judge(*of_run, settings, clock.seconds)
 
 
 def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, ControlledCloud]:
@@ -94,13 +99,9 @@ def _examined(scene: RefineScene, cloud: ControlledCloud, settings: Settings) ->
 def _verified(
     scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
 ) -> tuple[Diagnosis, WeighedProblem]:
-    """Short optimisations decide about a weak hypothesis, about cameras and a mirror plane."""
+    """Short optimisations decide about a weak hypothesis and about a mirror plane."""
     diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
     until = clock.until(settings.seconds)
-    if settings.refine_camera and settings.steps:
-        now = time.perf_counter()
-        half = now + TIME_FOR_CAMERAS * (until - now)
-        problem = clock.attempt("cameras", partial(corrected_cameras, problem, half), problem)
     with clock.phase("prepare"):
         weighed = weigh(problem, settings)
     found = settings.symmetry == "auto" and problem.flipped

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +16,7 @@ from ..errors import InputError
 from ..geometry.arrays import as_numbers
 from ..geometry.camera import Camera
 from ..geometry.view import View
+from ..pose.move import Move
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,12 @@ class RefineScene:
     def views(self) -> tuple[View, ...]:
         """The views as they are meant, in the axes of the cloud."""
         return tuple(as_meant(view, self.assumptions) for view in self.read)
+
+    def after(self, move: Move) -> RefineScene:
+        """The same scene with the views of ``move``, which are as they are meant."""
+        if move.kind == "nothing":
+            return self
+        return replace(self, read=move.views, assumptions=())
 
 
 def as_scene(

@@ -19,6 +19,7 @@ from ..refinement.scene import RefineScene
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
+    from ..pose.fit import FittedCamera
 
 Placing = Literal["silhouette", "box", "camera"]
 ONLY_SHOWN = "the cloud has no colours: the photo is shown, and does not guide the result"
@@ -37,6 +38,8 @@ class Scene:
         ``to_output`` maps points to it.
     file : in points mode, what the file holds.
     shown : in points mode the views with their images, if these do not guide the result.
+    fitted : the camera that was fitted to cloud and mask, and its alternatives; None if it was
+        given.
     network, image, sigma_sq, photo : in the network modes the network, its input [3, 64, 64], the
         variance of its training, and the photo's part that the network sees [H, W, 3].
     """
@@ -47,6 +50,7 @@ class Scene:
     frame: str
     file: PointCloud | None = None
     shown: tuple[View, ...] = ()
+    fitted: FittedCamera | None = None
     network: BaseNetwork | None = None
     image: Floats | None = None
     sigma_sq: float | None = None
@@ -70,12 +74,16 @@ class Scene:
 
 
 def load_points_scene(
-    cloud_file: Path, files: ViewFiles | Path, assume: Sequence[str] = (), fit: bool = False
+    cloud_file: Path,
+    files: ViewFiles | Path,
+    assume: Sequence[str] = (),
+    fit: int | None = None,
 ) -> Scene:
     """The scene of points mode: a cloud, or a mesh whose surface is refined, and its views.
 
     ``files`` may be a single mask. ``assume`` names hypotheses that are taken as true. ``fit``
-    estimates the camera of the one mask from mask and cloud (`fit_camera`). The images of a cloud
+    estimates the camera of the one mask from mask and cloud (`fit_camera`): 0 takes the best pose,
+    a larger number that of its alternatives. The images of a cloud
     without colours are only shown, with a warning. Errors as `load_views` and `read_cloud`.
     """
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
@@ -98,10 +106,10 @@ def _scene_of(
     file: PointCloud,
     files: ViewFiles,
     assumptions: tuple[Assumption, ...],
-    fit: bool,
+    fit: int | None,
 ) -> Scene:
-    if fit:
-        return _with_fitted_camera(cloud, file, files, assumptions)
+    if fit is not None:
+        return _with_fitted_camera(cloud, file, files, assumptions, fit)
     read, origins = load_views(files)
     mirrored = MIRRORED if left_handed(assumptions) else ""
     described = tuple(f"{origin}{mirrored}" for origin in origins)
@@ -110,14 +118,28 @@ def _scene_of(
 
 
 def _with_fitted_camera(
-    cloud: Cloud, file: PointCloud, files: ViewFiles, assumptions: tuple[Assumption, ...]
+    cloud: Cloud,
+    file: PointCloud,
+    files: ViewFiles,
+    assumptions: tuple[Assumption, ...],
+    pose: int,
 ) -> Scene:
-    from ..pose import fit_camera
+    from ..pose.fit import fit_camera
 
-    read = view_without_camera(files)
-    view, points = as_meant(read, assumptions), cloud.controlled().control_points
-    K = None if files.intrinsics is None else view.camera.K
-    fitted = fit_camera(points, view.mask, view.known, name=view.name, K=K)
+    read, focal = view_without_camera(files)
+    view, body = as_meant(read, assumptions), cloud.controlled()
+    K = view.camera.K
+    fitted = fit_camera(
+        body.control_points,
+        view.mask,
+        view.known,
+        float(K[0, 0]) if focal.deviation else None,
+        view.name,
+        K if focal.deviation == 0.0 else None,
+        focal.deviation,
+        view.image,
+        body.colours,
+    ).chosen(pose)
     # The fitted camera is in the axes of the cloud, whatever these are.
     of_mask = tuple(one for one in assumptions if one.hypothesis.mask)
     of_cloud = [one for one in assumptions if not one.hypothesis.mask]
@@ -125,8 +147,8 @@ def _with_fitted_camera(
     known = (
         () if fitted.sure else (Finding("unsure-camera", (0,), values={"why": fitted.why_unsure}),)
     )
-    given_K = "" if files.intrinsics is None else f", with K of {files.intrinsics}"
+    by = f", with {focal.source}" if focal.source else ""
     sure = "sure" if fitted.sure else "unsure"
-    summary = f"camera fitted to cloud and mask{given_K} ({sure})"
-    given = RefineScene(cloud, (read,), of_mask, known)
-    return Scene(given, (fitted.describe(),), summary, "input", file)
+    summary = f"camera fitted to cloud and mask{by} ({sure})"
+    scene = RefineScene(cloud, (read,), of_mask, known)
+    return Scene(scene, (fitted.describe(),), summary, "input", file, fitted=fitted)

@@ -64,7 +64,7 @@ def _of_masks(scene: Scene, files: ViewFiles, fit: bool) -> list[Pixels | None]:
     # Read as an image of the view, the file is turned and undistorted as its mask was.
     pictured = replace(files, image=files.masks, depth=())
     photos: list[Pixels | None] = []
-    for view in [view_without_camera(pictured)] if fit else load_views(pictured)[0]:
+    for view in [view_without_camera(pictured)[0]] if fit else load_views(pictured)[0]:
         changes = mask_changes(view, scene.given.assumptions)
         image = view.image
         assert image is not None

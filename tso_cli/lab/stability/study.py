@@ -142,7 +142,7 @@ def _ways(axis: Axis, quick: bool, compared: Sequence[str]) -> dict[str, Way]:
     if quick:
         ways.pop(FOUR_MASKS, None)
     if axis.name in CORRECTED_ON:
-        ways["best, camera corrected"] = Variant(RefineConfig(refine_camera=True))
+        ways["best, camera corrected"] = Variant(RefineConfig(move="camera"))
     if of_interest:
         from .peers import PEERS
 

@@ -78,7 +78,7 @@ def _camera_fit() -> Numbers:
     points, view, camera = scene.points, scene.view, scene.view.camera
     tilt = from_vectors(np.radians(10.0) * np.array([0.6, 0.64, 0.48]))
     turned = View(silhouette_of(points, camera), replace(camera, R=tilt @ camera.R))
-    result = uninterrupted(refine(points, turned, config=RefineConfig(refine_camera=True)))
+    result = uninterrupted(refine(points, turned, config=RefineConfig(move="camera")))
     corrected = result.cameras[0]
     degrees = float(angle_between(corrected.R, camera.R))
     return {"IoU": fit_camera(points, view.mask).iou, "degrees": degrees}

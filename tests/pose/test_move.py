@@ -1,0 +1,208 @@
+"""What moves as one before the shape is refined."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.scenes import EXAMPLES, about, example
+from tso_cli import RefineConfig, View, refine
+from tso_cli.cloud.cloud import Cloud
+from tso_cli.errors import InputError
+from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.camera import intrinsics
+from tso_cli.geometry.rotations import angle_between, from_vectors
+from tso_cli.io.clouds import read_cloud, write_cloud
+from tso_cli.io.meshes import read_mesh
+from tso_cli.pose.move import find_move
+from tso_cli.render import RayScene, RenderSettings, look_at, render_view
+from tso_cli.render.folder import ground_truth, normalise
+
+CHAIR, PLANE = example("chair"), example("airplane")
+TILT = from_vectors(np.radians([3.0, 4.0, -3.0]))  # 5.8 degrees
+
+
+def _wrong(points, turn=TILT, shift=(0.03, -0.02, 0.0), size=1.0):
+    return size * points @ turn.T + np.array(shift)
+
+
+def _move(points, *views, **settings):
+    return find_move(Cloud(points, "points").controlled().body, views, **settings)
+
+
+def _error(move, points, truth):
+    return chamfer(move.apply(points), truth).chamfer
+
+
+@pytest.mark.parametrize("shown", [CHAIR, PLANE], ids=["chair", "airplane"])
+def test_a_right_shape_in_a_wrong_pose_is_moved_back_by_default(shown):
+    wrong = _wrong(shown.target)
+    move = _move(wrong, shown.view)
+    assert (move.kind, move.keep) == ("pose", "distance")
+    assert move.explains
+    assert move.degrees == pytest.approx(5.8, abs=1.0)
+    assert angle_between(move.matrix[:3, :3] @ TILT, np.eye(3)) < 2.0
+    # What is left is the distance, which one camera cannot tell.
+    assert _error(move, wrong, shown.target) < 0.6 * chamfer(wrong, shown.target).chamfer
+
+
+def test_a_shifted_cloud_is_shifted_and_not_turned():
+    move = _move(CHAIR.target + [0.06, 0.04, 0.0], CHAIR.view)
+    assert move.kind == "shift"
+    np.testing.assert_allclose(move.matrix[:3, :3], np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("shown", [CHAIR, PLANE], ids=["chair", "airplane"])
+def test_a_cloud_that_is_right_or_of_another_shape_does_not_move_by_default(shown):
+    view = shown.view
+    for points in (shown.target, shown.points):
+        move = _move(points, view)
+        assert move.kind == "nothing"
+        assert move.apply(points) is points
+        assert move.views == (view,)
+
+
+def test_a_picture_that_cuts_off_the_object_moves_nothing_by_default():
+    left = PLANE.view.box()[0]
+    cut = int(left) + 60
+    camera = PLANE.camera.cropped((cut - 0.5, -0.5, 255.5, 255.5), 256 - cut, 256)
+    view = View(PLANE.mask[:, cut:], camera)
+    assert view.truncated
+    assert _move(_wrong(PLANE.target), view).kind == "nothing"
+
+
+def test_one_camera_keeps_the_size_of_a_pose_and_the_distance_of_a_similarity():
+    wrong = _wrong(PLANE.target, size=1.05)
+    depth = PLANE.camera.R[2]
+    for asked, keep, kept in (
+        ("pose", "auto", "size"), ("pose", "distance", "distance"),
+        ("similarity", "auto", "distance"), ("similarity", "size", "size"),
+    ):  # fmt: skip
+        move = _move(wrong, PLANE.view, asked=asked, keep=keep)
+        assert move.keep == kept
+        middle = (wrong.min(0) + wrong.max(0)) / 2.0
+        along = (move.apply(middle[None])[0] - middle) @ depth
+        if kept == "distance":
+            assert along == pytest.approx(0.0, abs=1e-9)
+        else:
+            assert abs(along) > 0.02
+        assert (abs(move.size - 1.0) > 0.02) == (asked == "similarity" and kept == "distance")
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """Samples of a chair, and what three cameras around it see of its surface."""
+    mesh = normalise(read_mesh(EXAMPLES / "meshes/chair/q19_OfficeChair.ply"))
+    points, _ = ground_truth(mesh, RenderSettings(samples=2048), np.random.default_rng(0))
+    cameras = [look_at(azimuth, 15.0, 2.4, (128, 128)) for azimuth in (10.0, 80.0, 160.0)]
+    scene = RayScene(mesh)
+    return points, [
+        View(np.float32(render_view(scene, camera).mask > 0), camera) for camera in cameras
+    ]
+
+
+def test_several_views_tell_size_from_distance_and_find_a_cloud_in_another_frame(rig):
+    points, views = rig
+    floor = 2.0 * chamfer(points[::2], points[1::2]).chamfer
+    wrong = _wrong(points, size=1.08, shift=(0.05, -0.03, 0.06))
+    near = _move(wrong, *views, asked="similarity")
+    assert near.keep is None
+    assert near.size == pytest.approx(1.0 / 1.08, rel=0.02)
+    assert _error(near, wrong, points) < floor
+    # The frame of a trainer: turned, far away and of another scale.
+    elsewhere = _wrong(points, about("x", 100.0) @ about("y", 30.0), (5.0, -3.0, 8.0), 0.2)
+    found = _move(elsewhere, *views, asked="similarity")
+    assert found.alternatives
+    assert found.size == pytest.approx(5.0, rel=0.02)
+    assert _error(found, elsewhere, points) < floor
+
+
+def test_a_camera_that_moves_leaves_the_cloud_where_it_is():
+    given = replace(PLANE.camera, R=TILT @ PLANE.camera.R)
+    result = refine(
+        PLANE.target, replace(PLANE.view, camera=given), config=RefineConfig(move="camera")
+    )
+    assert result.move.kind == "camera"
+    np.testing.assert_array_equal(result.move.matrix, np.eye(4))
+    assert angle_between(result.cameras[0].R, PLANE.camera.R) < 1.5
+    assert angle_between(given.R, PLANE.camera.R) > 5.0
+    np.testing.assert_array_equal(result.points, PLANE.target)
+    assert result.fit.iou_after > result.fit.iou_before + 0.1
+
+
+@pytest.mark.parametrize("model", ["perspective", "orthographic"])
+def test_the_cloud_at_rest_is_seen_as_the_cloud_that_moved(model):
+    camera = CHAIR.camera
+    if model == "orthographic":
+        camera = replace(camera, K=intrinsics(150.0, 256, 256), model=model)
+    points = CHAIR.target
+    R, t, size = about("z", 30.0) @ about("x", 10.0), np.array([0.1, 0.2, 0.3]), 1.2
+    moved, _ = camera.project(size * points @ R.T + t)
+    np.testing.assert_allclose(
+        camera.before_placed(R, t, size).project(points)[0], moved, atol=1e-9
+    )
+
+
+def test_only_a_move_keeps_the_shape_to_rounding_in_the_units_of_the_file():
+    wrong = 1000.0 * _wrong(CHAIR.target) + 5000.0
+    centre = np.full(3, 5000.0)
+    camera = CHAIR.camera.before_placed(np.eye(3), -centre / 1000.0, 1.0 / 1000.0)
+    result = refine(wrong, View(CHAIR.mask, camera), config=RefineConfig(move="pose", only=True))
+    moved = wrong @ result.move.matrix[:3, :3].T + result.move.matrix[:3, 3]
+    np.testing.assert_allclose(result.points, moved, atol=1e-9)
+    R = result.move.matrix[:3, :3]
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    truth = 1000.0 * CHAIR.target + 5000.0
+    assert result.fit.moved_max == 0.0
+    assert chamfer(result.points, truth).chamfer < 0.5 * chamfer(wrong, truth).chamfer
+
+
+def test_after_a_move_that_explains_the_misfit_the_shape_is_hardly_bent():
+    wrong = _wrong(PLANE.target)
+    result = refine(wrong, PLANE.view)
+    assert result.trust.verdict == "improved"
+    assert result.fit.moved_mean < 0.003
+    as_shape = refine(wrong, PLANE.view, config=RefineConfig(move="shape"))
+    assert PLANE.error(result.points) < 0.6 * PLANE.error(as_shape.points)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"move": "sideways"}, "move is 'sideways', expected one of auto, shape, pose"),
+        ({"keep": "colour"}, "keep is 'colour', expected one of auto, size, distance"),
+        ({"only": True}, "nothing may move"),
+        ({"move": "pose", "mode": "encoder"}, "expected points for move pose"),
+    ],
+)
+def test_moves_that_do_not_exist_are_refused(settings, said):
+    with pytest.raises(InputError, match=said):
+        RefineConfig(**settings)
+
+
+def test_the_command_says_what_moved_and_writes_its_matrix(refine, folder):
+    write_cloud(folder / "turned.ply", _wrong(CHAIR.target))
+    run = refine("turned.ply", "mask.png", "--write-transform", "matrix.json", "-o", "out.ply")
+    assert "moved  as one: turned by" in run.out
+    assert "use --move camera" in run.err
+    matrix = np.array(json.loads((folder / "matrix.json").read_text())["matrix"])
+    document = refine("turned.ply", "mask.png", "--json", "-o", "again.ply").document
+    assert document["moved_as"] == "pose"
+    np.testing.assert_allclose(document["transform"], matrix)
+    moved = _wrong(CHAIR.target) @ matrix[:3, :3].T + matrix[:3, 3]
+    assert np.abs(read_cloud(folder / "out.ply").points - moved).mean() < 0.003
+    still = refine("turned.ply", "mask.png", "--move", "shape", "--json", "-o", "s.ply").document
+    assert still["moved_as"] == "nothing"
+    assert still["transform"] == np.eye(4).tolist()
+    assert "as one" not in refine("target.ply", "mask.png", "-o", "t.ply").out
+
+
+def test_a_camera_moves_by_either_name(refine, folder):
+    write_cloud(folder / "turned.ply", _wrong(CHAIR.target))
+    for number, words in enumerate((["--refine-camera"], ["--move", "camera"])):
+        run = refine("turned.ply", "mask.png", *words, "--json", "-o", f"{number}.ply")
+        assert run.document["moved_as"] == "camera"
+        assert run.document["moved_cameras"][0]["turned_degrees"] == pytest.approx(5.8, abs=1.0)
+    both = "--refine-camera", "--move", "pose", "-o", "both.ply"
+    assert "expected one of the two" in refine("turned.ply", "mask.png", *both).refusal

@@ -1,0 +1,79 @@
+"""What moved as one, as sentences and for JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..pose.fit import FittedCamera
+from ..pose.move import Move
+from ..refinement import RefineResult
+
+
+def move_document(move: Move) -> dict[str, Any]:
+    """For JSON."""
+    return {
+        "moved_as": move.kind,
+        "transform": move.matrix.tolist(),
+        "kept": move.keep,
+        "missed": [move.missed_before, move.missed],
+    }
+
+
+def alternatives_of(fitted: FittedCamera | None, move: Move) -> list[dict[str, Any]]:
+    """For JSON: the other poses of a fitted camera, or of a cloud that was searched everywhere."""
+    if fitted is not None:
+        return [
+            {
+                "pose_index": number,
+                "missed": one.missed,
+                "iou": one.iou,
+                "degrees": one.degrees,
+                "unlike_photo": one.unlike_photo,
+                **{name: getattr(one.camera, name).tolist() for name in ("K", "R", "t")},
+            }
+            for number, one in enumerate(fitted.alternatives, 1)
+        ]
+    return [
+        {"missed": missed, "transform": matrix.tolist()} for missed, matrix in move.alternatives
+    ]
+
+
+def words_of_move(result: RefineResult) -> str:
+    """How the cloud moved as one; "" where it did not."""
+    move = result.move
+    if move.kind in ("nothing", "camera"):
+        return ""
+    start = result.initial[~result.outliers]
+    middle = (start.min(0) + start.max(0)) / 2.0
+    side = np.ptp(start, axis=0).max()
+    shift = np.linalg.norm(move.apply(middle[None])[0] - middle) / side
+    parts = [f"shifted by {100.0 * shift:.1f} % of its size"]
+    if move.kind != "shift":
+        parts.insert(0, f"turned by {move.degrees:.1f} degrees")
+    if move.kind == "similarity":
+        parts.append(f"scaled by {move.size:.3f}")
+    kept = f" (its {move.keep} is kept)" if move.keep else ""
+    return f"as one: {', '.join(parts)}{kept}"
+
+
+def words_of_search(move: Move) -> str:
+    """What was found of a move, or why nothing moved."""
+    missed = f"the cloud misses {move.missed_before:.0%} of the contours as given"
+    if move.kind == "nothing":
+        return "nothing: no turn and shift explains what the cloud misses of the masks"
+    left = f"{move.missed:.0%} after it moved as one"
+    return f"{missed}, {left}{'' if move.explains else ': it does not explain the misfit'}"
+
+
+def reading_of(result: RefineResult) -> str | None:
+    """Both readings of a move that the user did not ask for."""
+    move = result.move
+    if result.settings.move != "auto" or move.kind == "nothing":
+        return None
+    how = words_of_move(result).removeprefix("as one: ")
+    return (
+        f"the cloud was {how}, which explains why it did not fit; if the camera is wrong instead, "
+        "use --move camera, and if neither is wrong, --move shape"
+    )

@@ -1,0 +1,118 @@
+"""Placements of a cloud that fit its masks, searched in all directions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..geometry.arrays import Array
+from ..geometry.points import farthest_point_sample
+from ..geometry.view import View
+from .levenberg import Freedom, improve
+from .misfit import NearestMisfit
+from .placement import Placements
+from .search import FITS, Comparison, search_from
+from .starts import closed_iou, distinct, starts
+from .target import Target
+
+
+class Points:
+    """Numbers of points of a cloud."""
+
+    # Larger clouds are thinned at random before farthest points are chosen, to save time.
+    THINNED = 4096
+    SCORED = 1024  # in the end
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """One of the two searches, each faster or finer than the other."""
+
+    side: int  # of the square, cells
+    points: int  # of the cloud
+    kept: int  # most placements that are improved
+    degrees: float  # a placement within this angle of a better one is dropped
+    steps: int
+    robust: float  # scale of distances, cells
+
+
+COARSE = _Stage(side=32, points=256, kept=48, degrees=20.0, steps=10, robust=6.0)
+FINE = _Stage(side=64, points=512, kept=12, degrees=10.0, steps=12, robust=4.0)
+# Other poses of the end are this far apart, degrees.
+APART = 20.0
+# If none of the placements fits, this number of the best is searched around.
+AROUND = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Placements that fit, best first, none within 20 degrees of a better one.
+
+    missed : [P], as `Comparison.missed`. iou : [P], `closed_iou`.
+    """
+
+    placements: Placements
+    missed: Array
+    iou: Array
+
+
+def search_everywhere(points: Array, views: Sequence[View], freedom: Freedom) -> Candidates:
+    """The placements that fit ``views``, from starts in all directions.
+
+    1. 2,700 placements are scored by coarse silhouettes.
+    2. The best 48 distinct ones are improved by distances between nearest neighbours.
+    3. The best 12 of them are improved at twice the resolution, and then by their contours.
+
+    ``points`` [N, 3] have longest side 1 and their centre at the origin.
+    """
+    local = spread_points(points)
+    coarse = tuple(Target.of(view, COARSE.side) for view in views)
+    comparison = Comparison.of(points, views)
+    placements, score = starts(local[: COARSE.points], coarse, freedom)
+    placements = placements[distinct(placements.R, score, COARSE.degrees, COARSE.kept)]
+    misfit = NearestMisfit(local[: COARSE.points], coarse, COARSE.robust)
+    placements, _ = improve(placements, misfit, freedom, COARSE.steps)
+    some = local[: FINE.points]
+    score = closed_iou(some, placements, coarse, spacing(some))
+    placements = placements[distinct(placements.R, score, FINE.degrees, FINE.kept)]
+    misfit = NearestMisfit(some, comparison.targets, FINE.robust)
+    by_cells, _ = improve(placements, misfit, freedom, FINE.steps)
+    placements, value = comparison.settled(by_cells, freedom)
+    placements = placements[distinct(placements.R, -value, APART, len(placements))]
+    if comparison.missed(placements[:1])[0] > FITS:
+        placements = _searched_around(comparison, freedom, placements)
+    if comparison.missed(placements[:1])[0] > FITS:
+        # The contours of another shape do not tell where it is.
+        iou = closed_iou(local, by_cells, comparison.targets, spacing(local))
+        placements = by_cells[distinct(by_cells.R, iou, APART, len(by_cells))]
+    iou = closed_iou(local, placements, comparison.targets, spacing(local))
+    return Candidates(placements, comparison.missed(placements), iou)
+
+
+def _searched_around(
+    comparison: Comparison, freedom: Freedom, placements: Placements
+) -> Placements:
+    """The best placements, searched from many starts around each, and then the rest."""
+    few = min(AROUND, len(placements))
+    found = [
+        search_from(comparison, replace(freedom, given=placements[i : i + 1])) for i in range(few)
+    ]
+    order = np.argsort([one.missed for one in found], kind="stable")
+    return Placements.joined([*(found[i].placement for i in order), placements[few:]])
+
+
+def spread_points(points: Array) -> Array:
+    """At most 1,024 of ``points``; for every k the first k of them are spread evenly."""
+    if len(points) > Points.THINNED:
+        points = points[np.random.default_rng(0).permutation(len(points))[: Points.THINNED]]
+    return points[farthest_point_sample(points, min(Points.SCORED, len(points)))]
+
+
+def spacing(points: Array) -> float:
+    """Median distance from a point to its nearest neighbour."""
+    from scipy.spatial import cKDTree
+
+    distance, _ = cKDTree(points).query(points, 2)
+    return float(np.median(distance[:, 1]))

@@ -1,0 +1,151 @@
+"""Levenberg-Marquardt steps of many placements at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ..geometry.arrays import Array
+from .placement import FOCAL, SHIFT, SIZE, TURN, UNKNOWNS, Placements, Rows
+
+# The linear model holds for steps up to this: radians, logarithms, and sizes of the cloud.
+LARGEST_STEP = 0.4
+# How many residuals are independent of each other. A silhouette has many more pixels, but what a
+# wrong shape adds or lacks spans long pieces of its contour.
+INDEPENDENT = 30.0
+# What a misfit does not fall below: that of a cloud whose points lie within a cell.
+LEAST_MISFIT = 3e-3
+# A descent ends where a step gains less, in units of the posterior's logarithm.
+ENOUGH = 0.02
+
+
+class Damping:
+    """Of Levenberg-Marquardt, relative to the diagonal of the normal matrix."""
+
+    FIRST, LEAST, MOST = 1e-3, 1e-6, 10.0
+    FALL, RISE = 0.2, 10.0  # after a step that lowers the misfit, and after one that does not
+    # Of the largest diagonal element, for unknowns that no residual depends on.
+    ABSOLUTE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A sum of squares at P placements, and its linear model."""
+
+    value: Array  # [P]
+    normal: Array  # [P, 8, 8]
+    gradient: Array  # [P, 8], downhill
+
+    @classmethod
+    def empty(cls, count: int) -> System:
+        square = np.zeros((count, UNKNOWNS, UNKNOWNS))
+        return cls(np.zeros(count), square, np.zeros((count, UNKNOWNS)))
+
+    def __add__(self, other: System) -> System:
+        names = [field.name for field in fields(self)]
+        return System(*(getattr(self, name) + getattr(other, name) for name in names))
+
+    def __rmul__(self, factor: float) -> System:
+        return System(factor * self.value, factor * self.normal, factor * self.gradient)
+
+    def __getitem__(self, rows: Rows) -> System:
+        return System(self.value[rows], self.normal[rows], self.gradient[rows])
+
+    def replaced(self, rows: Rows, other: System) -> System:
+        """The same with other ``rows``."""
+        value, normal, gradient = self.value.copy(), self.normal.copy(), self.gradient.copy()
+        value[rows], normal[rows], gradient[rows] = other.value, other.normal, other.gradient
+        return System(value, normal, gradient)
+
+
+Misfit = Callable[[Placements], System]
+
+
+@dataclass(frozen=True, eq=False)
+class Freedom:
+    """What may change, and how far it is from what is given.
+
+    basis : [8, k], its columns are the combinations of unknowns that may change.
+    given : the placement that was given. deviation : [8], standard deviations of its error;
+        infinite for unknowns that nothing is known about.
+    """
+
+    basis: Array
+    given: Placements
+    deviation: Array
+
+    @classmethod
+    def of(cls, given: Placements, *unknowns: slice | int) -> Freedom:
+        """Each of the ``unknowns`` is free by itself, and nothing is known of it."""
+        unit = np.eye(UNKNOWNS)
+        columns = [unit[:, [one] if isinstance(one, int) else one] for one in unknowns]
+        return cls(np.concatenate(columns, 1), given, np.full(UNKNOWNS, np.inf))
+
+    def posterior(self, misfit: Misfit) -> Misfit:
+        """Minus twice the logarithm of the posterior density, if ``misfit`` is a mean of squares.
+
+        How large the residuals of the right placement are is not known: a wrong shape leaves large
+        ones. For an unknown variance their likelihood falls with the logarithm of the misfit. So a
+        cloud that can fit is drawn to its masks, and one that cannot stays near where it was given.
+        """
+        precision = 1.0 / np.square(self.deviation)
+
+        def system(placements: Placements) -> System:
+            at = misfit(placements)
+            value = at.value + LEAST_MISFIT
+            steep = INDEPENDENT / value
+            if not precision.any():
+                change = np.zeros((len(placements), UNKNOWNS))
+            else:
+                change = placements.since(self.given)
+            return System(
+                INDEPENDENT * np.log(value) + np.square(change) @ precision,
+                steep[:, None, None] * at.normal + np.diag(precision),
+                steep[:, None] * at.gradient - precision * change,
+            )
+
+        return system
+
+
+def improve(
+    placements: Placements, misfit: Misfit, freedom: Freedom, steps: int
+) -> tuple[Placements, Array]:
+    """The placements after at most ``steps`` steps, and `Freedom.posterior` of each [P].
+
+    No placement gets worse.
+    """
+    measured = freedom.posterior(misfit)
+    damping = np.full(len(placements), Damping.FIRST)
+    now = measured(placements)
+    active = np.arange(len(placements))
+    for _ in range(steps):
+        at, system = placements[active], now[active]
+        tried = at.stepped(_step(at, system, damping[active], freedom.basis))
+        after = measured(tried)
+        gain = system.value - after.value
+        better = gain > 0.0
+        placements = placements.replaced(active[better], tried[better])
+        now = now.replaced(active[better], after[better])
+        factor = np.where(better, Damping.FALL, Damping.RISE)
+        damping[active] = np.maximum(factor * damping[active], Damping.LEAST)
+        active = active[np.where(better, gain > ENOUGH, damping[active] < Damping.MOST)]
+        if not len(active):
+            break
+    return placements, now.value
+
+
+def _step(placements: Placements, system: System, damping: Array, basis: Array) -> Array:
+    """A damped Gauss-Newton step [P, 8], as long as the linear model holds."""
+    normal = basis.T @ system.normal @ basis
+    diagonal = np.einsum("pii->pi", normal)
+    least = Damping.ABSOLUTE * diagonal.max(1, keepdims=True) + np.finfo(float).tiny
+    diagonal += damping[:, None] * diagonal + least
+    step = np.linalg.solve(normal, (system.gradient @ basis)[..., None])[..., 0] @ basis.T
+    angle = np.linalg.norm(step[:, TURN], axis=1)
+    moved = np.linalg.norm(step[:, SHIFT], axis=1) / placements.size
+    scaled = np.abs(step[:, [SIZE, FOCAL]]).max(1)
+    largest = np.maximum(np.maximum(angle, moved), scaled)
+    shortened: Array = step / np.maximum(largest / LARGEST_STEP, 1.0)[:, None]
+    return shortened

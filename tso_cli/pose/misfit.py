@@ -1,0 +1,189 @@
+"""How far a placed cloud is from the masks, in cells, with derivatives.
+
+Two misfits: of distances between nearest neighbours, which draws a cloud from afar, and of the gaps
+between the edge of the cloud and the contour of the mask, which is exact where the two nearly meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.arrays import Array, Indices
+from ..geometry.points import scattered
+from .levenberg import System
+from .placement import UNKNOWNS, Placements
+from .target import Target
+
+# Distances under half a cell are inside a cell and count as 0.
+TOLERANCE = 0.5
+# Cells of the object that attract points; more tell no more.
+MOST_CELLS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class NearestMisfit:
+    """Each cell of the object attracts the nearest point, and the nearest cell each point outside.
+
+    ``robust`` : scale in cells; a distance d counts as d^2 / (1 + (d / robust)^2).
+    """
+
+    points: Array  # [N, 3]
+    targets: Sequence[Target]
+    robust: float = 6.0
+
+    def __call__(self, placements: Placements) -> System:
+        """Mean squares of both directions, summed over views."""
+        system = System.empty(len(placements))
+        for target in self.targets:
+            system = system + self._of(target, placements)
+        return system
+
+    def _of(self, target: Target, placements: Placements) -> System:
+        count, system = len(self.points), System.empty(len(placements))
+        seen = target.project(self.points, placements)
+        rows = np.arange(len(placements))[:, None]
+        cells = scattered(target.cells, MOST_CELLS)
+        to_point = _nearest_points(cells, seen.px)
+        row, column, within = target.at(seen.px)
+        known = np.where(within, target.known[row, column], not target.truncated)
+        outside = known & ~(target.inside[row, column] & within)
+        all_points = np.broadcast_to(np.arange(count), outside.shape)
+        pairs = (
+            (to_point, cells - seen.px[rows, to_point], 1.0 / len(cells)),
+            (all_points, target.nearest[row, column] - seen.px, outside / count),
+        )
+        for index, offset, weight in pairs:
+            distance = np.linalg.norm(offset, axis=2)
+            beyond = np.maximum(1.0 - TOLERANCE / np.maximum(distance, TOLERANCE), 0.0)
+            excess = distance * beyond
+            inlier = 1.0 / (1.0 + np.square(excess / self.robust))
+            system.value[:] += (weight * excess**2 * inlier).sum(1)
+            root = np.sqrt(weight * (excess > 0.0)) * inlier
+            J = seen.jacobian(rows, index) * root[..., None, None]
+            J = J.reshape(len(placements), -1, UNKNOWNS)
+            residual = (offset * (beyond * root)[..., None]).reshape(len(placements), -1, 1)
+            system.normal[:] += J.transpose(0, 2, 1) @ J
+            system.gradient[:] += (J.transpose(0, 2, 1) @ residual)[..., 0]
+        return system
+
+
+def _nearest_points(cells: Array, px: Array) -> Indices:
+    """The nearest of the points ``px`` [P, N, 2] to each of the ``cells`` [M, 2]: [P, M]."""
+    a, b = cells.astype(np.float32), px.astype(np.float32)
+    squared = b @ (-2.0 * a.T) + np.square(b).sum(2)[..., None]
+    return np.asarray(squared.argmin(1))
+
+
+def _blurred(mask: Array, deviation: float) -> Array:
+    """A mask [S, S] after a Gaussian blur; beyond its border it goes on as at the border."""
+    reach = 2
+    weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / deviation))
+    blurred: Array = np.pad(mask, reach, mode="edge")
+    for axis in (0, 1):
+        parts = np.lib.stride_tricks.sliding_window_view(blurred, len(weights), axis)
+        blurred = parts @ (weights / weights.sum())
+    return blurred
+
+
+@dataclass(frozen=True, eq=False)
+class Contour:
+    """The contour of a mask between its cells, cut into pieces."""
+
+    target: Target
+    samples: Array  # [C, 2] column and row
+    normals: Array  # [C, 2] outward
+    piece: Indices  # [C] the piece of each sample
+    pieces: int
+    index: Indices  # [S, S] the nearest sample of each cell
+
+    # Standard deviation of the blur that smooths the contour, and the length of a piece, in cells.
+    BLUR, LENGTH = 0.4, 2.0
+
+    @classmethod
+    def of(cls, target: Target) -> Contour:
+        smooth = _blurred(target.mask, cls.BLUR)
+        down, right = (np.gradient(smooth, axis=axis) for axis in (0, 1))
+        level = 0.5 * target.mask.max()
+        samples = []
+        # Where the blurred mask crosses half between two cells in a row, and in a column.
+        for values, turned in ((smooth, False), (smooth.T, True)):
+            first, second = values[:, :-1] - level, values[:, 1:] - level
+            row, column = np.nonzero((first > 0.0) != (second > 0.0))
+            part = first[row, column] / (first[row, column] - second[row, column])
+            place = np.stack([column + part, row], 1)
+            samples.append(place[:, ::-1] if turned else place)
+        where = np.concatenate(samples)
+        row, column, _ = target.at(where)
+        known = target.known[row, column]
+        where, row, column = where[known], row[known], column[known]
+        if not len(where):
+            # Nothing is known of the contour: a single piece that no point is near.
+            place, index = np.full((1, 2), np.inf), np.zeros(target.mask.shape, np.int64)
+            return cls(target, place, np.zeros((1, 2)), np.zeros(1, np.int64), 1, index)
+        slope = np.stack([right[row, column], down[row, column]], 1)
+        normals = -slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
+        # The two sides of a thin part are different pieces of one block of cells.
+        block = (where / cls.LENGTH).astype(np.int64)
+        side = (normals[:, 0] > 0.0) + 2 * (normals[:, 1] > 0.0)
+        key = (block[:, 1] * target.side + block[:, 0]) * 4 + side
+        names, piece = np.unique(key, return_inverse=True)
+        grid = np.indices(target.mask.shape)[::-1].reshape(2, -1).T.astype(np.float64)
+        nearest = (np.square(where).sum(1) - 2.0 * grid @ where.T).argmin(1)
+        return cls(
+            target, where, normals, piece.ravel(), len(names), nearest.reshape(target.mask.shape)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ContourMisfit:
+    """The gap between each piece of the contours and the outermost point near it.
+
+    A gap e, in cells along the normal of the contour, counts as g^2 / (1 + g^2) with g = e /
+    ``robust``, and a piece without a point within ``reach`` cells counts as 1. So the misfit is
+    about the share of the contours that the cloud misses.
+    """
+
+    points: Array  # [N, 3]
+    contours: Sequence[Contour]
+    robust: float = 0.6
+    reach: float = 4.0
+
+    def __call__(self, placements: Placements) -> System:
+        """The mean over all pieces of all views."""
+        system = System.empty(len(placements))
+        for contour in self.contours:
+            seen = contour.target.project(self.points, placements)
+            row, point, sample, gap = self._gaps(contour, seen.px)
+            gap /= self.robust
+            inlier = 1.0 / (1.0 + np.square(gap))
+            J = seen.jacobian(row, point, contour.normals[sample]) / self.robust
+            weighted = J * np.square(inlier)[:, None]
+            ends = np.searchsorted(row, np.arange(len(placements) + 1))
+            for number, some in enumerate(map(slice, ends[:-1], ends[1:])):
+                missing = contour.pieces - len(gap[some])
+                system.value[number] += (gap[some] ** 2 * inlier[some]).sum() + missing
+                system.normal[number] += weighted[some].T @ J[some]
+                system.gradient[number] += weighted[some].T @ gap[some]
+        return 1.0 / sum(contour.pieces for contour in self.contours) * system
+
+    def _gaps(self, contour: Contour, px: Array) -> tuple[Indices, Indices, Indices, Array]:
+        """For each placement and each piece that a point is near: the outermost point.
+
+        Placement, point, sample and gap of each such pair, by placement. The gap is positive where
+        the point lies inside.
+        """
+        row, column, _ = contour.target.at(px)
+        sample = contour.index[row, column]
+        inward = contour.samples[sample] - px
+        near = np.flatnonzero((np.square(inward).sum(-1) < self.reach**2).ravel())
+        sample = sample.ravel()[near]
+        gap = (inward.reshape(-1, 2)[near] * contour.normals[sample]).sum(1)
+        placement, point = np.divmod(near, px.shape[1])
+        piece = placement * contour.pieces + contour.piece[sample]
+        # One key sorts by piece, then by gap, which is within the reach.
+        order = np.argsort(piece + (gap / self.reach + 1.0) / 2.1)
+        first = order[np.flatnonzero(np.diff(piece[order], prepend=-1))]
+        return placement[first], point[first], sample[first], gap[first]

@@ -1,0 +1,227 @@
+"""A cloud or its cameras, moved as one before the shape is refined, as little as is needed.
+
+What one camera sees of a cloud that turned is what a camera that turned the other way sees of the
+cloud as it was. So a `Move` has cameras as the cloud at rest sees them, whichever of the two moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..geometry.arrays import Array
+from ..geometry.rotations import to_vectors
+from ..geometry.view import View
+from .asked import Asked, Keep, Moved
+from .everywhere import search_everywhere, spacing, spread_points
+from .levenberg import Freedom
+from .placement import SHIFT, SIZE, TURN, UNKNOWNS, Placements
+from .search import Comparison, Found, search_from
+from .starts import closed_iou
+
+# Standard deviations of the error of a given placement: radians, longest sides of the cloud, and
+# the logarithm of its size.
+GIVEN_ERROR = np.array([np.radians(12.0)] * 3 + [0.12] * 3 + [0.12, np.inf])
+# The default does not move a cloud by more of them: that is a mistake of another kind.
+MOST_DEVIATIONS = 2.5
+# A cloud whose silhouette overlaps with the masks by less is searched in all directions.
+LEAST_OVERLAP = 0.1
+# A move with fewer unknowns is enough if it misses no larger share of the contours than this beyond
+# what the move with more unknowns misses. On validation clouds of a wrong shape in the right place,
+# a free distance did the harm.
+BRINGS_LITTLE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """What moved as one.
+
+    kind : what moved. keep : what stays, where one camera cannot separate the size of a cloud from
+        its distance; None where both are found.
+    views : the views as the cloud sees them where it was given. matrix : [4, 4], takes the cloud as
+        it was given to where it belongs, in its units; the identity if cameras moved.
+    missed_before, missed : shares of the contours that the cloud misses.
+    explains : whether the move explains why the cloud did not fit.
+    alternatives : other placements that were found, if all directions were searched: what each
+        misses, and its matrix.
+    """
+
+    kind: Moved
+    views: tuple[View, ...]
+    matrix: Array
+    missed_before: float = 0.0
+    missed: float = 0.0
+    explains: bool = False
+    keep: Keep | None = None
+    alternatives: tuple[tuple[float, Array], ...] = ()
+
+    @property
+    def degrees(self) -> float:
+        """The angle by which the cloud is turned."""
+        return float(np.degrees(np.linalg.norm(to_vectors(self.matrix[:3, :3] / self.size))))
+
+    @property
+    def size(self) -> float:
+        """The factor of its size."""
+        return float(np.cbrt(np.linalg.det(self.matrix[:3, :3])))
+
+    def apply(self, points: Array) -> Array:
+        """``points`` [N, 3], moved; untouched where nothing or a camera moved."""
+        if self.kind in ("nothing", "camera"):
+            return points
+        return points @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+
+
+def unmoved(views: Sequence[View]) -> Move:
+    """Nothing moves."""
+    return Move("nothing", tuple(views), np.eye(4))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A cloud that moves as one.
+
+    points : [N, 3]; (X - centre) / scale has longest side 1 and its centre at the origin.
+    """
+
+    points: Array
+    centre: Array
+    scale: float
+
+
+def find_move(
+    body: Body, views: Sequence[View], asked: Asked = "auto", keep: Keep = "auto"
+) -> Move:
+    """What moves, of what was ``asked`` for.
+
+    "auto" : the rung of the ladder shift, pose, similarity that explains the misfit with the fewest
+    unknowns; nothing if none does, if the cloud fits where it is, if a picture cuts off the object,
+    so that its contour does not show where it is, or if there is a depth map or a photo, which may
+    contradict the contours. "camera" : each camera by itself. Else the cloud stands where
+    the masks would have it, near where it was given, or anywhere if it does not meet them.
+    """
+    if asked == "shape":
+        return unmoved(views)
+    problem = _Placing(body, tuple(views))
+    if asked == "camera":
+        return problem.of_cameras()
+    if asked == "auto":
+        return problem.ladder(keep)
+    return problem.asked(asked, keep)
+
+
+class _Placing:
+    """A cloud and its views in the units of the cloud."""
+
+    def __init__(self, body: Body, views: tuple[View, ...]) -> None:
+        self.body, self.views = body, views
+        self.points = (body.points - body.centre) / body.scale
+        self.normalised = tuple(
+            replace(
+                view,
+                camera=view.camera.for_normalised(body.centre, body.scale),
+                depth=None if view.depth is None else view.depth / body.scale,
+            )
+            for view in views
+        )
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        return Comparison.of(self.points, self.normalised)
+
+    def freedom(self, kind: Moved, keep: Keep) -> tuple[Freedom, Keep | None]:
+        """What may change, and what stays of size and distance, where only one of them can."""
+        unit = np.eye(UNKNOWNS)
+        shift, turn, size = unit[:, SHIFT], unit[:, TURN], unit[:, [SIZE]]
+        kept: Keep | None = None
+        columns = [shift] if kind == "shift" else [turn, shift]
+        if len(self.views) > 1 or any(view.depth is not None for view in self.views):
+            columns += [size] if kind == "similarity" else []
+        else:
+            kept = keep
+            if keep == "auto":
+                kept = "distance" if kind in ("similarity", "shift") else "size"
+            if kept == "distance":
+                columns[-1] = shift[:, :] @ self.normalised[0].camera.R[:2].T
+                columns += [size] if kind == "similarity" else []
+        return Freedom(np.concatenate(columns, 1), Placements.unmoved(), GIVEN_ERROR), kept
+
+    def ladder(self, keep: Keep) -> Move:
+        """The fewest unknowns that explain the misfit."""
+        unclear = any(
+            view.truncated or view.depth is not None or view.image is not None
+            for view in self.views
+        )
+        if unclear or self.comparison.fits(Placements.unmoved()):
+            return unmoved(self.views)
+        rungs: list[tuple[Moved, Keep]] = [("pose", "size"), ("pose", "distance"), ("shift", keep)]
+        if len(self.views) > 1:
+            rungs = [("similarity", keep), ("pose", keep), ("shift", keep)]
+        # From many unknowns to few: a cloud that no move explains costs one search.
+        moves: list[Move] = []
+        for kind, kept_here in rungs:
+            if keep not in ("auto", kept_here):
+                continue
+            freedom, kept = self.freedom(kind, kept_here)
+            found = search_from(self.comparison, freedom)
+            change = found.placement.since(freedom.given)[0] / GIVEN_ERROR
+            if not moves and (not found.explains or np.abs(change).max() > MOST_DEVIATIONS):
+                return unmoved(self.views)
+            moves.append(self.move(kind, found, kept))
+        enough = moves[0].missed + BRINGS_LITTLE
+        return next(move for move in reversed(moves) if move.missed <= enough)
+
+    def asked(self, kind: Moved, keep: Keep) -> Move:
+        freedom, kept = self.freedom(kind, keep)
+        points = spread_points(self.points)
+        overlap = closed_iou(points, freedom.given, self.comparison.targets, spacing(points))
+        found = search_from(self.comparison, freedom)
+        if overlap[0] >= LEAST_OVERLAP and found.fits:
+            return self.move(kind, found, kept)
+        anywhere = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
+        candidates = search_everywhere(self.points, self.normalised, anywhere)
+        elsewhere = Found(candidates.placements[:1], found.given, float(candidates.missed[0]))
+        if overlap[0] < LEAST_OVERLAP or (elsewhere.explains and elsewhere.missed < found.missed):
+            others = [
+                replace(elsewhere, placement=candidates.placements[i : i + 1], missed=missed)
+                for i, missed in enumerate(candidates.missed.tolist())
+            ]
+            best, *rest = (self.move(kind, one, kept) for one in others)
+            return replace(best, alternatives=tuple((one.missed, one.matrix) for one in rest))
+        return self.move(kind, found, kept)
+
+    def of_cameras(self) -> Move:
+        views, found = [], []
+        for view, normalised in zip(self.views, self.normalised, strict=True):
+            alone = _Placing(self.body, (view,))
+            freedom, _ = alone.freedom("pose", "size")
+            one = search_from(Comparison.of(self.points, [normalised]), freedom)
+            found.append(one)
+            views.append(alone.move("camera", one, "size").views[0])
+        before, missed = (
+            float(np.mean([getattr(one, name) for one in found])) for name in ("given", "missed")
+        )
+        explains = all(one.explains for one in found)
+        return Move("camera", tuple(views), np.eye(4), before, missed, explains)
+
+    def move(self, kind: Moved, found: Found, kept: Keep | None) -> Move:
+        one, scale, centre = found.placement, self.body.scale, self.body.centre
+        # The product of many small rotations is a rotation only up to rounding.
+        u, _, vt = np.linalg.svd(one.R[0])
+        R, size = u @ vt, float(one.size[0])
+        t = centre + scale * one.t[0] - size * R @ centre
+        matrix = np.eye(4)
+        if kind != "camera":
+            matrix[:3, :3], matrix[:3, 3] = size * R, t
+        views = tuple(
+            replace(
+                view,
+                camera=view.camera.before_placed(R, t, size),
+                depth=None if view.depth is None else view.depth / size,
+            )
+            for view in self.views
+        )
+        return Move(kind, views, matrix, found.given, found.missed, found.explains, kept)

@@ -1,0 +1,132 @@
+"""What a placed cloud is compared with: the mask of one view, resampled to a small square."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..geometry.arrays import Array, Bits, Box, Indices
+from ..geometry.camera import Camera
+from ..geometry.resampling import area_resize
+from ..geometry.view import View
+from .placement import FOCAL, SHIFT, SIZE, UNKNOWNS, Placements
+
+# Side of the square in longer sides of the mask's box, so that a cloud next to the mask is seen.
+MARGIN = 1.3
+# A point nearer to the camera than this, in longest sides of the cloud, is projected from there.
+NEAREST = 0.02
+
+
+def square_around(view: View) -> Box:
+    """The edges of a square of the image around the object."""
+    left, top, right, bottom = view.box()
+    side = max(right - left, bottom - top) * MARGIN
+    left, top = (left + right - side) / 2.0, (top + bottom - side) / 2.0
+    return left, top, left + side, top + side
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """A cloud as one camera sees it at each of P placements."""
+
+    px: Array  # [P, N, 2] column and row
+    offset: Array  # [P, N, 2] ``px`` without the principal point
+    inverse: Array  # [P, N] 1 / depth; 1 for an orthographic camera
+    turned: Array  # [P, N, 3] the placed cloud about its centre
+    camera: Camera
+    focal: Array  # [P]
+
+    def jacobian(self, rows: Indices, points: Indices, normals: Array | None = None) -> Array:
+        """Derivative of pixels of some points by the eight unknowns.
+
+        ``rows`` and ``points``, of one shape [...], name placement and point. The result is
+        [..., 2, 8], or [..., 8] of the movement along ``normals`` [..., 2].
+        """
+        inverse = self.inverse[rows, points]
+        offset, arm = self.offset[rows, points], self.turned[rows, points]
+        by_camera = np.zeros((*inverse.shape, 2, 3))
+        by_camera[..., :2] = self.camera.K[:2, :2] * (self.focal[rows] * inverse)[..., None, None]
+        if self.camera.model == "perspective":
+            by_camera[..., 2] = -offset * inverse[..., None]
+        along = offset
+        if normals is not None:
+            by_camera = (normals[..., None, :] @ by_camera)[..., 0, :]
+            along = (normals * offset).sum(-1)
+        by_point = by_camera @ self.camera.R
+        if normals is None:
+            arm = arm[..., None, :]
+        J = np.empty((*by_point.shape[:-1], UNKNOWNS))
+        # A small turn w moves a point at y from the centre by w x y.
+        (x, y, z), (u, v, w) = np.moveaxis(arm, -1, 0), np.moveaxis(by_point, -1, 0)
+        J[..., 0], J[..., 1], J[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
+        J[..., SHIFT] = by_point
+        J[..., SIZE] = (by_point * arm).sum(-1)
+        J[..., FOCAL] = along
+        return J
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """One view in a square of ``side`` cells; its camera is that of the square."""
+
+    mask: Array  # [S, S] in [0, 1]
+    known: Bits  # [S, S]
+    camera: Camera
+    truncated: bool  # the picture cuts off the object, so points outside the picture are no error
+    pixel: float  # side of a pixel of the mask, cells
+
+    @classmethod
+    def of(cls, view: View, side: int) -> Target:
+        """``view`` around its object."""
+        box = square_around(view)
+        mask, known = area_resize(view.mask, box, side, side, weights=view.known)
+        camera = view.camera.cropped(box, side, side)
+        pixel = side / (box[2] - box[0])
+        return cls(mask * (known > 0.0), known > 0.5, camera, view.truncated, pixel)
+
+    @property
+    def side(self) -> int:
+        return len(self.mask)
+
+    @cached_property
+    def inside(self) -> Bits:
+        """[S, S] the object: cells with over half of the largest coverage."""
+        return np.asarray(self.mask > 0.5 * self.mask.max())
+
+    @cached_property
+    def cells(self) -> Array:
+        """[M, 2] column and row of the object's cells."""
+        return np.argwhere(self.inside)[:, ::-1].astype(np.float64)
+
+    @cached_property
+    def nearest(self) -> Array:
+        """[S, S, 2] column and row of the object's nearest cell."""
+        number = np.arange(self.side)
+        far = 4 * self.side**2
+        apart = np.square(number[:, None] - number)
+        # The nearest of each row, and then the nearest of all rows.
+        in_row = np.where(self.inside[:, None], apart, far)
+        column, distance = in_row.argmin(2), in_row.min(2)
+        row = (distance[None] + apart[:, :, None]).argmin(1)
+        return np.stack([column[row, number], row], -1).astype(np.float64)
+
+    def project(self, points: Array, placements: Placements) -> Projected:
+        """``points`` [N, 3] at each of the placements."""
+        turned, placed = placements.of(points)
+        in_camera = placed @ self.camera.R.T + self.camera.t
+        inverse = np.ones(in_camera.shape[:2])
+        if self.camera.model == "perspective":
+            inverse = 1.0 / np.maximum(in_camera[..., 2], NEAREST)
+        plane = in_camera[..., :2] * inverse[..., None] * placements.focal[:, None, None]
+        offset = plane @ self.camera.K[:2, :2].T
+        px = offset + self.camera.K[:2, 2]
+        return Projected(px, offset, inverse, turned, self.camera, placements.focal)
+
+    def at(self, px: Array) -> tuple[Indices, Indices, Bits]:
+        """Row and column of the cells of ``px`` [..., 2], clipped, and which px are within."""
+        cell = np.rint(px)
+        within = np.asarray(((cell >= 0) & (cell < self.side)).all(-1))
+        column, row = np.moveaxis(np.clip(cell, 0, self.side - 1).astype(np.int64), -1, 0)
+        return row, column, within
