@@ -255,7 +255,8 @@ def cameras() -> str:
     rows = [
         [
             name,
-            f"{row['median_degrees']:.0f}",
+            f"{row['median_degrees']:.1f}",
+            f"{row['exact']} of {row['cases']}",
             f"{row['right']} of {row['cases']}",
             str(row["sure"]),
             str(row["sure_right"]),
@@ -265,6 +266,7 @@ def cameras() -> str:
     header = [
         "cloud",
         "median error, degrees",
+        "within 3 degrees",
         "within 15 degrees",
         "called sure",
         "right among these",

@@ -189,7 +189,7 @@ def no_overlap(diagnosis: Diagnosis, part=None) -> NoOverlapError:
             "it meets a part of the mask (columns 30 to 34, rows 20 to 24): is the rest something "
             "else? Erase it, or leave it out by --ignore FILE",
         ),
-        (Diagnosis(()), None, f"{AXES_ADVICE}, {LOOK}"),
+        (Diagnosis(()), None, f"{AXES_ADVICE}; {LOOK}"),
     ],
 )
 def test_cloud_and_mask_that_do_not_meet_come_with_advice(diagnosis, part, advice):

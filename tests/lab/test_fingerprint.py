@@ -46,7 +46,7 @@ CHANGES = {
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
     "network modes, paper": partial(faster_latent, "paper"),
     "network modes, best": partial(faster_latent, "best"),
-    "camera fit": lambda patch: patch.setattr(search, "EXACT", 2.0),
+    "camera fit": lambda patch: patch.setattr(search, "SIDE", 20),
     "training": lambda patch: patch.setattr(
         losses, "affinity", lambda *of: 1.1 * affinity.affinity(*of)
     ),

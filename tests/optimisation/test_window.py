@@ -89,7 +89,7 @@ def test_a_window_is_made_again_around_points_that_moved(far_off, chair):
 @pytest.mark.slow
 def test_a_refinement_takes_the_finest_grid_of_its_mask_where_it_begins(far_off, chair):
     start, photo = far_off
-    config = RefineConfig(symmetry="none", prior="none", accept_doubtful=True)
+    config = RefineConfig(symmetry="none", prior="none", accept_doubtful=True, move="shape")
     result = refine(start, photo, config=config)
     assert result.views[0].cells == 128
     np.testing.assert_allclose(result.views[0].window, window_of(photo, start))

@@ -20,7 +20,10 @@ SMALL_DISPLACEMENT = 1e-3
 # Pairs of masks and cameras that are named.
 MOST_PAIRS = 3
 UNITS = "if not, try --assume K-normalised, K-ndc or focal-mm-36"
-LOOK = "or look at the numbers with --check"
+LOOK = (
+    "look at the numbers with --check, or let the masks place the cloud with --move pose or "
+    "similarity"
+)
 # What mends a symptom of a single view.
 OPTIONS = {"box": "a mask of its outline", "occluder": "--ignore FILE"}
 # What a verdict means; "" where there is none.
@@ -115,7 +118,7 @@ class Words:
     def no_overlap(self, error: NoOverlapError) -> InputError:
         """The error with advice by options."""
         general = error.advice.replace(IN_PIXELS, f"{IN_PIXELS} {UNITS}")
-        advice = self.suspicion(error.diagnosis.suspicious) or f"{general}, {LOOK}"
+        advice = self.suspicion(error.diagnosis.suspicious) or f"{general}; {LOOK}"
         if error.part:
             advice = (
                 f"it meets a part of the mask ({describe_box(error.part)}): is the rest something "

@@ -38,8 +38,8 @@ class _Stage:
     robust: float  # scale of distances, cells
 
 
-COARSE = _Stage(side=32, points=256, kept=48, degrees=20.0, steps=10, robust=6.0)
-FINE = _Stage(side=64, points=512, kept=12, degrees=10.0, steps=12, robust=4.0)
+COARSE = _Stage(side=32, points=256, kept=48, degrees=20.0, steps=12, robust=6.0)
+FINE = _Stage(side=64, points=512, kept=16, degrees=10.0, steps=20, robust=4.0)
 # Other poses of the end are this far apart, degrees.
 APART = 20.0
 # If none of the placements fits, this number of the best is searched around.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Floats
-from ..geometry.camera import CANONICAL_FOCAL_AT_64, Camera, intrinsics
+from ..geometry.camera import Camera, intrinsics
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
@@ -24,12 +24,13 @@ from .search import EXPLAINED, Comparison
 class Focal:
     """The prior on the focal length, and the focal lengths that are tried."""
 
-    MEAN = CANONICAL_FOCAL_AT_64 / 64.0  # in longer sides of the image
-    DEVIATION = 0.35  # standard deviation of the logarithm
-    # Tried, in multiples of the prior's. One fits as well if it misses no larger share of the
-    # contour than this beyond what the best misses.
-    FACTORS = np.array([0.4, 0.5, 0.7, 1.0, 1.4, 2.0])
-    TOLERANCE = 0.03
+    # In longer sides of the image: 47 degrees, between a phone's main lens (0.75) and the narrow
+    # views of renderers (1.9). The deviation is that of its logarithm.
+    MEAN, DEVIATION = 1.15, 0.4
+    # Tried, in multiples of the best. One fits as well if it misses no larger share of the contour
+    # than this beyond what the best misses.
+    FACTORS = np.geomspace(1.0 / 3.0, 3.0, 11)
+    TOLERANCE = 0.05
 
 
 FEWEST_POINTS = 16
@@ -59,8 +60,8 @@ class FittedCamera:
     missed : the share of the mask's contour that the cloud misses (`Comparison.missed`).
     alternatives : other poses, best first. They lie over 20 degrees from the best pose and from
         each other, and are no symmetry of the cloud.
-    focal_range : px, shortest and longest of the focal lengths tried (half to twice the prior)
-        whose IoU is within 0.01.
+    focal_range : px, shortest and longest of the focal lengths tried (a third of the best to three
+        times it) that fit about as well.
     """
 
     camera: Camera
@@ -157,10 +158,10 @@ def fit_camera(
     Parameters
     ----------
     known : [H, W], False at ignored pixels.
-    focal : mean of the prior on the focal length, px; None for the canonical camera's, 1.875 times
-        the longer side of the image.
+    focal : mean of the prior on the focal length, px; None for 1.15 times the longer side of the
+        image.
     K : [3, 3], if the intrinsics are known; then only the pose is fitted.
-    deviation : standard deviation of the logarithm of the focal length by the prior; None for 0.35.
+    deviation : standard deviation of the logarithm of the focal length by the prior; None for 0.4.
     image, colours : the photo [H, W, 3] and the colours of the points [N, 3], in [0, 1]; they tell
         poses apart that fit the mask alike (`appearance`).
 
@@ -243,8 +244,8 @@ def _focal_range(points: Array, view: View, found: Candidates) -> tuple[float, f
     """
     best = found.placements[np.zeros(len(Focal.FACTORS), np.int64)]
     # The cloud keeps its size in the picture.
-    further = (Focal.FACTORS / best.focal)[:, None] * [0.0, 0.0, 1.0] + [1.0, 1.0, 0.0]
-    held = replace(best, focal=Focal.FACTORS, t=best.t * further)
+    further = Focal.FACTORS[:, None] * [0.0, 0.0, 1.0] + [1.0, 1.0, 0.0]
+    held = replace(best, focal=best.focal * Focal.FACTORS, t=best.t * further)
     comparison = Comparison.of(points, [view])
     held, _ = comparison.settled(held, Freedom.of(Placements.unmoved(), TURN, SHIFT))
     as_well = comparison.missed(held) <= found.missed[0] + Focal.TOLERANCE
