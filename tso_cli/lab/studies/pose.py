@@ -145,8 +145,8 @@ STUDY = Study(
     tables=tables,
     draw=draw,
     reading="A true cloud and its mask determine the rotation to about a degree. A cloud of "
-    "another shape does not: an object and its mirror image turned round in depth cast nearly the same "
-    "silhouette, so the right pose is often among the alternatives. The focal length is less "
+    "another shape does not: an object and its mirror image turned round in depth cast nearly the "
+    "same silhouette, so the right pose is often among the alternatives. The focal length is less "
     "certain, and a range of focal lengths fits as well.",
     convention=CONVENTION,
     options=(*options.COMMON, options.part("validation"), options.views(2)),
