@@ -19,7 +19,7 @@ from .asked import Asked, Keep, Moved
 from .everywhere import search_everywhere, spacing, spread_points
 from .levenberg import Freedom
 from .placement import SHIFT, SIZE, TURN, UNKNOWNS, Placements
-from .search import Comparison, Found, search_from
+from .search import PROMISING_UNASKED, Comparison, Found, search_from
 from .starts import closed_iou
 
 # Standard deviations of the error of a given placement: radians, longest sides of the cloud, and
@@ -138,7 +138,7 @@ class _Placing:
         shift, turn, size = unit[:, SHIFT], unit[:, TURN], unit[:, [SIZE]]
         kept: Keep | None = None
         columns = [shift] if kind == "shift" else [turn, shift]
-        if len(self.views) > 1 or any(view.depth is not None for view in self.views):
+        if len(self.views) > 1:
             columns += [size] if kind == "similarity" else []
         else:
             kept = keep
@@ -166,7 +166,7 @@ class _Placing:
             if keep not in ("auto", kept_here):
                 continue
             freedom, kept = self.freedom(kind, kept_here)
-            found = search_from(self.comparison, freedom)
+            found = search_from(self.comparison, freedom, PROMISING_UNASKED)
             change = found.placement.since(freedom.given)[0] / GIVEN_ERROR
             if not moves and (not found.explains or np.abs(change).max() > MOST_DEVIATIONS):
                 return unmoved(self.views)
