@@ -246,6 +246,9 @@ COMMANDS = {
         (*CARS, *CHAIRS, "--views", 1, "--steps", 1), 1, ("4.64", "-5.82", "E and D", "occluded")
     ),
     "pose": Command(("--views", 1), 4, (pose.TRUE,), {"categories": ("car",)}),
+    "moves": Command(
+        ("--size", 64, "--limit", 1), 36, ("right, 6 degrees off",), {"categories": ("car",)}
+    ),
     "network": Command((*CARS, *CHAIRS), 3, ("validation", "Chamfer x1000"), {"material": SMALL}),
     "sigma": Command(("--views", 1), 1, ("best sigma^2", "the paper's")),
     "supervision": training(*CARS, *CHAIRS),

@@ -18,6 +18,7 @@ QUESTIONS = {
         "What do depth maps, photos and missing parts change?",
     ),
     "pose": ("studies.pose.STUDY", "How well is a camera found from mask and cloud alone?"),
+    "moves": ("studies.moves.STUDY", "What does moving a cloud as one bring?"),
     "network": ("studies.network.STUDY", "How good is the base network on unseen shapes?"),
     "tso": (
         "studies.variants.STUDY",

@@ -1,0 +1,199 @@
+"""What moving as one brings to clouds of the right and of a wrong shape in a wrong place."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...evaluation.metrics import chamfer
+from ...geometry.camera import Camera
+from ...geometry.points import Array, bounding_box_normalisation
+from ...geometry.rotations import from_vectors
+from ...pose.asked import Asked
+from ...refinement import RefineConfig, refine
+from .. import options
+from ..charts import draw_bars
+from ..interrupts import uninterrupted
+from ..options import Option
+from ..study import Cases, Plan, Progress, Record, Study, Table
+from .cases import Case, CaseBuilder, kinds_of
+from .shapes import Shape, shapes_of_part
+from .summary import grouped, rounded
+
+CATEGORIES = ("chair", "airplane", "car")
+KINDS = ("right", "near", "other")
+# Degrees that a cloud is turned by -> how far it is shifted, and the share of its change of size.
+ERRORS = {
+    0.0: (0.0, 0.0),
+    1.0: (0.01, 0.01),
+    3.0: (0.03, 0.03),
+    6.0: (0.06, 0.06),
+    12.0: (0.1, 0.1),
+}
+ERRORS_OF_WRONG = (0.0, 6.0)
+WAYS: tuple[Asked, ...] = ("shape", "auto", "pose", "similarity")
+NEAR_FLOOR = 1.3
+"""Times the floor: a cloud of the right shape counts as brought back."""
+WORSE = 1.05
+"""Times the start: a result counts as worse."""
+MOST_SCALING = 0.15
+"""Of the logarithm: how far a cloud is scaled about its camera before it is compared."""
+CONVENTION = {
+    "before, after, floor": "Chamfer distance to the truth x1000, longest side 1, after the best "
+    "scaling about the camera, which one mask does not determine; the floor is that of the cloud "
+    "before it is turned",
+    "bent": "mean displacement of a control point after the move as one, in longest sides",
+}
+
+
+def plan(
+    progress: Progress,
+    *,
+    meshes: Path,
+    split: Path | None,
+    categories: tuple[str, ...] = CATEGORIES,
+    size: int,
+    **settings: Any,
+) -> Plan:
+    """Refine clouds that are wrongly placed by one mask, in each way."""
+    shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
+    builder = CaseBuilder(meshes, split, settings["views"], size, 1024, settings["seed"])
+    settings |= {"size": size, "shapes": [shape.name for shape in shapes]}
+
+    def of_shape(shape: Shape) -> Cases:
+        cases = [
+            case for kind in kinds_of(shape.category, KINDS) for case in builder.cases(shape, kind)
+        ]
+        return [row for case in cases for row in moved_case(case)]
+
+    jobs = [({"shape": shape.name}, partial(of_shape, shape)) for shape in shapes]
+    return Plan(settings, jobs, "moving")
+
+
+def moved_case(case: Case) -> Cases:
+    """The results of one case, wrongly placed by each error, in each way."""
+    view = case.views[0]
+    floor = up_to_scaling(case.initial, case.target, view.camera)
+    rows = []
+    for degrees in ERRORS if case.kind == "right" else ERRORS_OF_WRONG:
+        start = misplaced(case, degrees)
+        before = up_to_scaling(start, case.target, view.camera)
+        for way in WAYS:
+            begun = time.perf_counter()
+            result = uninterrupted(refine(start, view, config=RefineConfig(move=way)))
+            seconds = time.perf_counter() - begun
+            after = up_to_scaling(result.points, case.target, view.camera)
+            figures = {"before": before, "after": after, "floor": floor}
+            rows.append(
+                {
+                    **case.names,
+                    "degrees": degrees,
+                    "way": way,
+                    "moved_as": result.move.kind,
+                    **{name: 1e3 * value for name, value in figures.items()},
+                    "bent": result.fit.moved_mean,
+                    "seconds": seconds,
+                }
+            )
+    return [rounded(row) for row in rows]
+
+
+def misplaced(case: Case, degrees: float) -> Array:
+    """The start of ``case``, turned about a random axis, shifted and scaled by `ERRORS`."""
+    aside, scaling = ERRORS[degrees]
+    words = zlib.crc32(f"{case.shape} {case.kind} {case.view} {degrees:g}".encode())
+    rng = np.random.default_rng(words)
+    axis, shift = (one / np.linalg.norm(one) for one in rng.normal(size=(2, 3)))
+    size = (1.0 + scaling) ** rng.choice([-1.0, 1.0])
+    centre, unit = bounding_box_normalisation(case.initial)
+    turn = from_vectors(np.radians(degrees) * axis)
+    return size * (case.initial - centre) @ turn.T + centre + unit * aside * shift
+
+
+def up_to_scaling(points: Array, truth: Array, camera: Camera) -> float:
+    """The Chamfer distance after the scaling about ``camera`` that makes it smallest."""
+    from scipy.optimize import minimize_scalar
+
+    def error(logarithm: float) -> float:
+        scaled = camera.position + np.exp(logarithm) * (points - camera.position)
+        return chamfer(scaled, truth).chamfer
+
+    bounds = (-MOST_SCALING, MOST_SCALING)
+    found = minimize_scalar(error, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    return float(min(found.fun, error(0.0)))
+
+
+def conclude(cases: Cases) -> Record:
+    """For each kind of start and error, and each way: ratios of errors, and shares of the cases."""
+    summary: Record = {}
+    for kind, of_kind in grouped(cases, "kind").items():
+        for degrees, rows in grouped(of_kind, "degrees").items():
+            name = f"{kind}, {degrees:g} degrees off"
+            summary[name] = {way: _figures(some) for way, some in grouped(rows, "way").items()}
+    return {"summary": summary}
+
+
+def _figures(rows: Cases) -> Record:
+    before, after, floor, bent = (
+        np.array([row[key] for row in rows]) for key in ("before", "after", "floor", "bent")
+    )
+    return {
+        "cases": len(rows),
+        "before": float(before.mean()),
+        "after": float(after.mean()),
+        "floor": float(floor.mean()),
+        "mean_ratio": float((after / before).mean()),
+        "near_floor": float((after <= NEAR_FLOOR * floor).mean()),
+        "worse": float((after > WORSE * before).mean()),
+        "moved": float(np.mean([row["moved_as"] != "nothing" for row in rows])),
+        "bent": float(bent.mean()),
+        "median_seconds": float(np.median([row["seconds"] for row in rows])),
+    }
+
+
+def tables(record: Record) -> list[Table]:
+    """A row for each start and way."""
+    header = ["start", "--move", "cases", "before", "after", "floor", "after / before"]
+    header += ["within 1.3 floors", "over 5 % worse", "moved as one", "bent", "s"]
+    rows = [
+        [start, way, *figures.values()]
+        for start, ways in record["summary"].items()
+        for way, figures in ways.items()
+    ]
+    return [Table(header, rows)]
+
+
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """For each start the error that is left in each way."""
+    rows = {
+        start: {f"--move {way}": figures["mean_ratio"] for way, figures in ways.items()}
+        for start, ways in record["summary"].items()
+    }
+    draw_bars(path, {"error after / before, mean": rows}, overwrite)
+
+
+STUDY = Study(
+    name="moves",
+    about="Clouds of the right shape (right), of a shape near it, and of another shape, turned, "
+    "shifted and scaled, and refined by one mask in each way of `--move`.",
+    parts=("pictures", "points, best", "camera fit"),
+    tables=tables,
+    draw=draw,
+    reading="A cloud of the right shape in a wrong place is brought back exactly when it may move "
+    "as one, and is bent when it may not. A cloud of a wrong shape in the right place is best left "
+    "there, and its shape refined. The default has to tell the two apart.",
+    convention=CONVENTION,
+    options=(
+        *options.COMMON,
+        options.part("test"),
+        options.views(1),
+        Option("--size", "Width and height of the masks, px.", int, 128, least=16),
+    ),
+    plan=plan,
+    conclude=conclude,
+)
