@@ -48,8 +48,8 @@ CONVENTION = {
     "moved_as": "nothing, shift, pose (turn and shift), similarity (and size) or camera",
     "alternatives": "other poses that were found, best first, without those by a symmetry of the "
     "cloud; of a fitted camera their number is what --pose-index takes",
-    "missed": "of the masks' contours, the share that the cloud misses by a point or more of "
-    "their cells: where it was given, and after it moved as one",
+    "missed": "of the masks' contours, the share that no point of the cloud comes near: "
+    "where it was given, and after it moved as one",
     "prior": "learned: the one that comes with the program",
     "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
     "optimisation and before `step_taken`, as a share of the object's size",

@@ -78,17 +78,29 @@ def cross_product_matrix(vectors: Array) -> Array:
     )
 
 
-def spread(directions: int, turns: int) -> Array:
-    """Camera rotations [directions * turns, 3, 3], spread evenly over all rotations.
-
-    The viewing directions are a Fibonacci lattice on the sphere. Each of them comes with ``turns``
-    evenly spaced rotations about the viewing direction.
-    """
+def lattice(directions: int) -> Array:
+    """Unit vectors [directions, 3] that are spread evenly over the sphere: a Fibonacci lattice."""
     number = np.arange(directions) + 0.5
     height = 1.0 - 2.0 * number / directions
     azimuth = number * (np.pi * (3.0 - np.sqrt(5.0)))
     radius = np.sqrt(1.0 - height * height)
-    forward = np.stack([radius * np.cos(azimuth), height, radius * np.sin(azimuth)], 1)
+    return np.stack([radius * np.cos(azimuth), height, radius * np.sin(azimuth)], 1)
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """The rotation [3, 3] nearest to a ``matrix`` that is one up to rounding."""
+    u, _, vt = np.linalg.svd(matrix)
+    rotation: Array = u @ vt
+    return rotation
+
+
+def spread(directions: int, turns: int) -> Array:
+    """Camera rotations [directions * turns, 3, 3], spread evenly over all rotations.
+
+    The viewing directions are those of `lattice`. Each of them comes with ``turns``
+    evenly spaced rotations about the viewing direction.
+    """
+    forward = lattice(directions)
     # The lattice has no point at the poles, so the y axis is never parallel to a direction.
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right, axis=1, keepdims=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -138,6 +138,11 @@ class View:
                 f"{self.name}: the {what} has shape {list(array.shape)}, the mask is {size}, "
                 f"expected {shape}"
             )
+
+    def before_placed(self, R: Array, t: Array, size: float) -> View:
+        """The view that sees ``X`` exactly where this one sees ``size * R X + t``."""
+        depth = None if self.depth is None else self.depth / size
+        return replace(self, camera=self.camera.before_placed(R, t, size), depth=depth)
 
     @cached_property
     def inside(self) -> Bits:

@@ -58,18 +58,19 @@ class Candidates:
     iou: Array
 
 
-def search_everywhere(points: Array, views: Sequence[View], freedom: Freedom) -> Candidates:
+def search_everywhere(
+    comparison: Comparison, points: Array, views: Sequence[View], freedom: Freedom
+) -> Candidates:
     """The placements that fit ``views``, from starts in all directions.
 
     1. 2,700 placements are scored by coarse silhouettes.
     2. The best 48 distinct ones are improved by distances between nearest neighbours.
-    3. The best 12 of them are improved at twice the resolution, and then by their contours.
+    3. The best 16 of them are improved at twice the resolution, and then by their contours.
 
-    ``points`` [N, 3] have longest side 1 and their centre at the origin.
+    ``comparison`` is of the ``points`` [N, 3] and the views.
     """
     local = spread_points(points)
     coarse = tuple(Target.of(view, COARSE.side) for view in views)
-    comparison = Comparison.of(points, views)
     placements, score = starts(local[: COARSE.points], coarse, freedom)
     placements = placements[distinct(placements.R, score, COARSE.degrees, COARSE.kept)]
     misfit = NearestMisfit(local[: COARSE.points], coarse, COARSE.robust)

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Floats
 from ..geometry.camera import Camera, intrinsics
 from ..geometry.points import as_points, bounding_box_normalisation
-from ..geometry.rotations import angle_between
+from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
 from .appearance import appearance, decides
 from .everywhere import Candidates, search_everywhere, spacing, spread_points
@@ -189,13 +189,15 @@ def fit_camera(
     deviations = np.full(UNKNOWNS, np.inf)
     deviations[FOCAL] = deviation or Focal.DEVIATION
     freedom = replace(Freedom.of(Placements.unmoved(), *unknowns), deviation=deviations)
-    found = search_everywhere(local, [view], freedom)
+    comparison = Comparison.of(local, [view])
+    found = search_everywhere(comparison, local, [view], freedom)
     seen = np.zeros(len(found.missed))
     if image is not None and colours is not None:
         with_photo = replace(view, image=image)
         seen = appearance(local, np.asarray(colours, np.float64), found.placements, with_photo)
         found, seen = _by_photo(found, seen)
     placements, spread = found.placements, spread_points(local)
+    gap = spacing(spread)
     degrees = angle_between(placements.R, placements.R[0])
     cameras = [
         _camera(view.camera, placements[i : i + 1], centre, unit) for i in range(len(placements))
@@ -209,9 +211,9 @@ def fit_camera(
             decides(float(seen[0]), float(seen[i])),
         )
         for i in range(1, len(placements))
-        if not _same_by_symmetry(spread, placements.R[0], placements.R[i], spacing(spread))
+        if not _same_by_symmetry(spread, placements.R[0], placements.R[i], gap)
     )
-    focal_range = _focal_range(local, view, found) if FOCAL in unknowns else (1.0, 1.0)
+    focal_range = _focal_range(comparison, found) if FOCAL in unknowns else (1.0, 1.0)
     low, high = (float(view.camera.K[0, 0] * factor) for factor in focal_range)
     return FittedCamera(
         cameras[0], float(found.iou[0]), float(found.missed[0]), alternatives, (low, high)
@@ -231,13 +233,12 @@ def _by_photo(found: Candidates, seen: Array) -> tuple[Candidates, Array]:
 def _camera(camera: Camera, placement: Placements, centre: Array, unit: float) -> Camera:
     """The camera of the cloud as given, for its one ``placement`` before ``camera``."""
     # The product of many small rotations is a rotation only up to rounding.
-    u, _, vt = np.linalg.svd(placement.R[0])
-    R, K = u @ vt, camera.K.copy()
+    R, K = nearest_rotation(placement.R[0]), camera.K.copy()
     K[:2, :2] *= placement.focal[0]
     return replace(camera, K=K, R=R, t=unit * placement.t[0] - R @ centre)
 
 
-def _focal_range(points: Array, view: View, found: Candidates) -> tuple[float, float]:
+def _focal_range(comparison: Comparison, found: Candidates) -> tuple[float, float]:
     """The smallest and largest factor of the focal length that fits as well as the best.
 
     The rest of the pose is fitted to each.
@@ -246,7 +247,6 @@ def _focal_range(points: Array, view: View, found: Candidates) -> tuple[float, f
     # The cloud keeps its size in the picture.
     further = Focal.FACTORS[:, None] * [0.0, 0.0, 1.0] + [1.0, 1.0, 0.0]
     held = replace(best, focal=best.focal * Focal.FACTORS, t=best.t * further)
-    comparison = Comparison.of(points, [view])
     held, _ = comparison.settled(held, Freedom.of(Placements.unmoved(), TURN, SHIFT))
     as_well = comparison.missed(held) <= found.missed[0] + Focal.TOLERANCE
     factors = np.append(held.focal[as_well], best.focal[0])

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from ..geometry.arrays import Array
-from ..geometry.rotations import to_vectors
+from ..geometry.rotations import nearest_rotation, to_vectors
 from ..geometry.view import View
 from .asked import Asked, Keep, Moved
 from .everywhere import search_everywhere, spacing, spread_points
@@ -119,14 +119,8 @@ class _Placing:
     def __init__(self, body: Body, views: tuple[View, ...]) -> None:
         self.body, self.views = body, views
         self.points = (body.points - body.centre) / body.scale
-        self.normalised = tuple(
-            replace(
-                view,
-                camera=view.camera.for_normalised(body.centre, body.scale),
-                depth=None if view.depth is None else view.depth / body.scale,
-            )
-            for view in views
-        )
+        to_file = np.eye(3), body.centre, body.scale
+        self.normalised = tuple(view.before_placed(*to_file) for view in views)
 
     @cached_property
     def comparison(self) -> Comparison:
@@ -145,7 +139,7 @@ class _Placing:
             if keep == "auto":
                 kept = "distance" if kind in ("similarity", "shift") else "size"
             if kept == "distance":
-                columns[-1] = shift[:, :] @ self.normalised[0].camera.R[:2].T
+                columns[-1] = shift @ self.normalised[0].camera.R[:2].T
                 columns += [size] if kind == "similarity" else []
         return Freedom(np.concatenate(columns, 1), Placements.unmoved(), GIVEN_ERROR), kept
 
@@ -182,7 +176,7 @@ class _Placing:
         if overlap[0] >= LEAST_OVERLAP and found.fits:
             return self.move(kind, found, kept)
         anywhere = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
-        candidates = search_everywhere(self.points, self.normalised, anywhere)
+        candidates = search_everywhere(self.comparison, self.points, self.normalised, anywhere)
         elsewhere = Found(candidates.placements[:1], found.given, float(candidates.missed[0]))
         if overlap[0] < LEAST_OVERLAP or (elsewhere.explains and elsewhere.missed < found.missed):
             others = [
@@ -210,18 +204,10 @@ class _Placing:
     def move(self, kind: Moved, found: Found, kept: Keep | None) -> Move:
         one, scale, centre = found.placement, self.body.scale, self.body.centre
         # The product of many small rotations is a rotation only up to rounding.
-        u, _, vt = np.linalg.svd(one.R[0])
-        R, size = u @ vt, float(one.size[0])
+        R, size = nearest_rotation(one.R[0]), float(one.size[0])
         t = centre + scale * one.t[0] - size * R @ centre
         matrix = np.eye(4)
         if kind != "camera":
             matrix[:3, :3], matrix[:3, 3] = size * R, t
-        views = tuple(
-            replace(
-                view,
-                camera=view.camera.before_placed(R, t, size),
-                depth=None if view.depth is None else view.depth / size,
-            )
-            for view in self.views
-        )
+        views = tuple(view.before_placed(R, t, size) for view in self.views)
         return Move(kind, views, matrix, found.given, found.missed, found.explains, kept)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..geometry.arrays import Array
 from ..geometry.points import scattered
+from ..geometry.rotations import lattice
 from ..geometry.view import View
 from .levenberg import Freedom, improve
 from .misfit import Contour, ContourMisfit, NearestMisfit
@@ -153,13 +154,8 @@ def _stages(comparison: Comparison, freedom: Freedom, by_cells: Placements) -> I
     given, from_afar = freedom.given, comparison.contour(FROM_AFAR)
     by_contour, _ = improve(given, from_afar, freedom, STEPS)
     yield Placements.joined([given, by_cells, by_contour])
-    number = np.arange(Nearby.TURNS) + 0.5
-    height = 1.0 - 2.0 * number / Nearby.TURNS
-    azimuth = number * np.pi * (3.0 - np.sqrt(5.0))
-    radius = np.sqrt(1.0 - height * height)
     step = np.zeros((Nearby.TURNS, UNKNOWNS))
-    axes = np.stack([radius * np.cos(azimuth), height, radius * np.sin(azimuth)], 1)
-    step[:, TURN] = np.radians(Nearby.DEGREES) * axes
+    step[:, TURN] = np.radians(Nearby.DEGREES) * lattice(Nearby.TURNS)
     turned = given[np.zeros(Nearby.TURNS, np.int64)].stepped(step)
     yield improve(turned, from_afar, freedom, STEPS)[0]
     turned, values = improve(turned, comparison.cells, freedom, STEPS)

@@ -156,7 +156,9 @@ def _ending(
             if move.kind == "nothing"
             else Trust.placed(move.explains, diagnosis)
         )
-        ious = _ious(problem, given, start)
+        ious = [(before, before) for before, _ in of_shape]
+        if move.kind != "nothing":
+            ious = _ious(problem, given, start)
         return _Ending(start, ious, trust.with_camera(diagnosis), "unchanged", kept)
     unknown = _why_unknown(problem, optimised, settings)
     if unknown:
@@ -169,8 +171,8 @@ def _ending(
     if settings.accept_doubtful:
         trust = replace(trust, displacement_taken=1.0)
     if trust.displacement_taken < 1.0:
-        moved, _ = _moved(problem, trust.displacement_taken * displacements)
-    ious = _ious(problem, given, moved)
+        moved, of_shape = _moved(problem, trust.displacement_taken * displacements)
+    ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
     trust = trust.with_camera(diagnosis)
     if trust.displacement_taken == 0.0:
         return _Ending(moved, ious, trust, "refused", "doubtful")

@@ -42,8 +42,10 @@ def run(
     asked = settings.move
     if asked == "auto" and settings.seconds < SHORT_SECONDS * len(scene.views):
         asked = "shape"  # there is no time to look for a move that was not asked for
-    find = partial(find_move, cloud.body, scene.views, asked, settings.keep)
-    move = clock.attempt("place", find, unmoved(scene.views))
+    move = unmoved(scene.views)
+    if asked != "shape":
+        find = partial(find_move, cloud.body, scene.views, asked, settings.keep)
+        move = clock.attempt("place", find, move)
     given, scene = scene.views, scene.after(move)
     with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)

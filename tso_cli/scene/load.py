@@ -83,8 +83,8 @@ def load_points_scene(
 
     ``files`` may be a single mask. ``assume`` names hypotheses that are taken as true. ``fit``
     estimates the camera of the one mask from mask and cloud (`fit_camera`): 0 takes the best pose,
-    a larger number that of its alternatives. The images of a cloud
-    without colours are only shown, with a warning. Errors as `load_views` and `read_cloud`.
+    a larger number that of its alternatives. The images of a cloud without colours are only shown,
+    with a warning. Errors as `load_views` and `read_cloud`.
     """
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
     assumptions = assumptions_of(assume, list(map(str, files.masks)))
