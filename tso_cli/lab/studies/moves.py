@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import zlib
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -57,33 +58,41 @@ def plan(
     meshes: Path,
     split: Path | None,
     categories: tuple[str, ...] = CATEGORIES,
-    size: int,
+    sizes: Sequence[int],
     **settings: Any,
 ) -> Plan:
-    """Refine clouds that are wrongly placed by one mask, in each way."""
+    """Refine clouds that are wrongly placed by one mask, in each way.
+
+    By masks of all but the first of the ``sizes``, clouds of the right shape are moved alone.
+    """
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
-    builder = CaseBuilder(meshes, split, settings["views"], size, 1024, settings["seed"])
-    settings |= {"size": size, "shapes": [shape.name for shape in shapes]}
+    views, seed = settings["views"], settings["seed"]
+    builders = {size: CaseBuilder(meshes, split, views, size, 1024, seed) for size in sizes}
+    settings |= {"sizes": list(sizes), "shapes": [shape.name for shape in shapes]}
 
-    def of_shape(shape: Shape) -> Cases:
-        cases = [
-            case for kind in kinds_of(shape.category, KINDS) for case in builder.cases(shape, kind)
-        ]
-        return [row for case in cases for row in moved_case(case)]
+    def of_shape(shape: Shape, size: int) -> Cases:
+        first = size == sizes[0]
+        kinds = kinds_of(shape.category, KINDS) if first else ("right",)
+        cases = [case for kind in kinds for case in builders[size].cases(shape, kind)]
+        return [row for case in cases for row in moved_case(case, WAYS if first else ("pose",))]
 
-    jobs = [({"shape": shape.name}, partial(of_shape, shape)) for shape in shapes]
+    jobs = [
+        ({"shape": shape.name, "size": size}, partial(of_shape, shape, size))
+        for shape in shapes
+        for size in sizes
+    ]
     return Plan(settings, jobs, "moving")
 
 
-def moved_case(case: Case) -> Cases:
-    """The results of one case, wrongly placed by each error, in each way."""
+def moved_case(case: Case, ways: Sequence[Asked]) -> Cases:
+    """The results of one case, wrongly placed by each error, in each of the ``ways``."""
     view = case.views[0]
     floor = up_to_scaling(case.initial, case.target, view.camera)
     rows = []
     for degrees in ERRORS if case.kind == "right" else ERRORS_OF_WRONG:
         start = misplaced(case, degrees)
         before = up_to_scaling(start, case.target, view.camera)
-        for way in WAYS:
+        for way in ways:
             begun = time.perf_counter()
             result = uninterrupted(refine(start, view, config=RefineConfig(move=way)))
             seconds = time.perf_counter() - begun
@@ -92,11 +101,13 @@ def moved_case(case: Case) -> Cases:
             rows.append(
                 {
                     **case.names,
+                    "size": view.camera.width,
                     "degrees": degrees,
                     "way": way,
                     "moved_as": result.move.kind,
                     **{name: 1e3 * value for name, value in figures.items()},
                     "bent": result.fit.moved_mean,
+                    "confidence": result.trust.confidence,
                     "seconds": seconds,
                 }
             )
@@ -129,13 +140,23 @@ def up_to_scaling(points: Array, truth: Array, camera: Camera) -> float:
 
 
 def conclude(cases: Cases) -> Record:
-    """For each kind of start and error, and each way: ratios of errors, and shares of the cases."""
+    """Ratios of errors, and shares of the cases: of each kind of start, error and way, and of each
+    size of masks for clouds of the right shape that move.
+    """
+    first = [row for row in cases if row["size"] == cases[0]["size"]]
+    of_moves = [row for row in cases if row["kind"] == "right" and row["way"] == "pose"]
     summary: Record = {}
-    for kind, of_kind in grouped(cases, "kind").items():
+    for kind, of_kind in grouped(first, "kind").items():
         for degrees, rows in grouped(of_kind, "degrees").items():
             name = f"{kind}, {degrees:g} degrees off"
             summary[name] = {way: _figures(some) for way, some in grouped(rows, "way").items()}
-    return {"summary": summary}
+    by_size: Record = {}
+    for degrees, rows in grouped(of_moves, "degrees").items():
+        of_sizes = sorted(grouped(rows, "size").items())
+        by_size[f"right, {degrees:g} degrees off"] = {
+            f"{size} px": _figures(some) for size, some in of_sizes
+        }
+    return {"summary": summary, "by_size": by_size}
 
 
 def _figures(rows: Cases) -> Record:
@@ -158,14 +179,19 @@ def _figures(rows: Cases) -> Record:
 
 def tables(record: Record) -> list[Table]:
     """A row for each start and way."""
-    header = ["start", "--move", "cases", "before", "after", "floor", "after / before"]
+    header = ["cases", "before", "after", "floor", "after / before"]
     header += ["within 1.3 floors", "over 5 % worse", "moved as one", "bent", "s"]
-    rows = [
-        [start, way, *figures.values()]
-        for start, ways in record["summary"].items()
-        for way, figures in ways.items()
+    return [
+        Table(
+            ["start", what, *header],
+            [
+                [start, one, *figures.values()]
+                for start, several in record[part].items()
+                for one, figures in several.items()
+            ],
+        )
+        for part, what in (("summary", "--move"), ("by_size", "mask"))
     ]
-    return [Table(header, rows)]
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
@@ -192,7 +218,16 @@ STUDY = Study(
         *options.COMMON,
         options.part("test"),
         options.views(1),
-        Option("--size", "Width and height of the masks, px.", int, 128, least=16),
+        Option(
+            "--size",
+            "Width and height of the masks, px. May be repeated: by further sizes, clouds of the "
+            "right shape are moved alone.",
+            int,
+            (256, 64, 1024),
+            least=16,
+            multiple=True,
+            name="sizes",
+        ),
     ),
     plan=plan,
     conclude=conclude,
