@@ -95,3 +95,19 @@ def area_resize(
         total_weight = total_weight[:, :, None]
     values = np.divide(total, total_weight, out=np.zeros_like(total), where=total_weight > 1e-12)
     return values, np.minimum(coverage, 1.0)
+
+
+def nearest_resize(array: Array, box: Box, cells: int) -> Array:
+    """``array`` [H, W] at the pixel nearest to each of ``cells`` x ``cells``, NaN beyond the image.
+
+    This is for depth maps. Their means across an edge would lie in mid-air.
+    """
+    left, top, right, bottom = box
+    centres = (np.arange(cells) + 0.5) / cells
+    rows = np.floor(top + centres * (bottom - top) + 0.5).astype(int)
+    columns = np.floor(left + centres * (right - left) + 0.5).astype(int)
+    height, width = array.shape
+    in_image = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
+    return np.where(
+        in_image, array[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)], np.nan
+    )

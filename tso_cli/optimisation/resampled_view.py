@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Box
 from ..geometry.camera import NEAR, Camera
-from ..geometry.resampling import area_resize
+from ..geometry.resampling import area_resize, nearest_resize
 from ..geometry.view import View
 from ..geometry.window import window_of
 from ..losses.mask_chamfer import REFERENCE_SIDE, MaskTarget
@@ -108,7 +108,7 @@ def resample_view(
     image = None
     if view.image is not None:
         image = area_resize(view.image, box, cells, cells, weights=view.inside, interpolate=True)[0]
-    depth = None if view.depth is None else _sampled(view.depth, box, cells) / scale
+    depth = None if view.depth is None else nearest_resize(view.depth, box, cells) / scale
     known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
     bounds = _image_bounds(box, view.camera, cells)
     normalised = camera.for_normalised(centre, scale)
@@ -131,22 +131,6 @@ def _image_bounds(box: Box, camera: Camera, cells: int) -> Box:
         (-0.5 - top) * down - 0.5,
         (camera.width - 0.5 - left) * across - 0.5,
         (camera.height - 0.5 - top) * down - 0.5,
-    )
-
-
-def _sampled(depth: Array, box: Box, cells: int) -> Array:
-    """``depth`` at the pixel nearest to each cell, NaN beyond the image.
-
-    It is not averaged: means across an edge would lie in mid-air.
-    """
-    left, top, right, bottom = box
-    centres = (np.arange(cells) + 0.5) / cells
-    rows = np.floor(top + centres * (bottom - top) + 0.5).astype(int)
-    columns = np.floor(left + centres * (right - left) + 0.5).astype(int)
-    height, width = depth.shape
-    in_image = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
-    return np.where(
-        in_image, depth[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)], np.nan
     )
 
 

@@ -80,6 +80,7 @@ def search_everywhere(
     placements = placements[distinct(placements.R, score, FINE.degrees, FINE.kept)]
     misfit = NearestMisfit(some, comparison.targets, FINE.robust)
     by_cells, _ = improve(placements, misfit, freedom, FINE.steps)
+    by_cells = comparison.at_depth(by_cells, freedom)
     placements, value = comparison.settled(by_cells, freedom)
     placements = placements[distinct(placements.R, -value, APART, len(placements))]
     if comparison.missed(placements[:1])[0] > FITS:

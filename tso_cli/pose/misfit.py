@@ -88,6 +88,22 @@ def _blurred(mask: Array, deviation: float) -> Array:
     return blurred
 
 
+def share_missed(placement: Indices, gap: Array, J: Array, count: int, pieces: int) -> System:
+    """The sum over ``pieces``. A gap ``g`` counts as g^2 / (1 + g^2), a piece without one as 1.
+
+    gap : [G]. placement : [G], ascending, of each gap. J : [G, 8], derivative of what closes the gap.
+    """
+    system = System.empty(count)
+    inlier = 1.0 / (1.0 + np.square(gap))
+    weighted = J * np.square(inlier)[:, None]
+    ends = np.searchsorted(placement, np.arange(count + 1))
+    for number, some in enumerate(map(slice, ends[:-1], ends[1:])):
+        system.value[number] = (gap[some] ** 2 * inlier[some]).sum() + pieces - len(gap[some])
+        system.normal[number] = weighted[some].T @ J[some]
+        system.gradient[number] = weighted[some].T @ gap[some]
+    return system
+
+
 @dataclass(frozen=True, eq=False)
 class Contour:
     """The contour of a mask between its cells, cut into pieces."""
@@ -158,15 +174,8 @@ class ContourMisfit:
             seen = contour.target.project(self.points, placements)
             row, point, sample, gap = self._gaps(contour, seen.px)
             gap /= self.robust
-            inlier = 1.0 / (1.0 + np.square(gap))
             J = seen.jacobian(row, point, contour.normals[sample]) / self.robust
-            weighted = J * np.square(inlier)[:, None]
-            ends = np.searchsorted(row, np.arange(len(placements) + 1))
-            for number, some in enumerate(map(slice, ends[:-1], ends[1:])):
-                missing = contour.pieces - len(gap[some])
-                system.value[number] += (gap[some] ** 2 * inlier[some]).sum() + missing
-                system.normal[number] += weighted[some].T @ J[some]
-                system.gradient[number] += weighted[some].T @ gap[some]
+            system = system + share_missed(row, gap, J, len(placements), contour.pieces)
         return 1.0 / sum(contour.pieces for contour in self.contours) * system
 
     def _gaps(self, contour: Contour, px: Array) -> tuple[Indices, Indices, Indices, Array]:

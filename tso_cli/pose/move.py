@@ -99,8 +99,8 @@ def find_move(
 
     "auto" : the rung of the ladder shift, pose, similarity that explains the misfit with the fewest
     unknowns; nothing if none does, if the cloud fits where it is, if a picture cuts off the object,
-    so that its contour does not show where it is, or if there is a depth map or a photo, which may
-    contradict the contours. "camera" : each camera by itself. Else the cloud stands where
+    so that its contour does not show where it is, or if there is a photo, which may contradict the
+    contours. "camera" : each camera by itself. Else the cloud stands where
     the masks would have it, near where it was given, or anywhere if it does not meet them.
     """
     if asked == "shape":
@@ -126,13 +126,19 @@ class _Placing:
     def comparison(self) -> Comparison:
         return Comparison.of(self.points, self.normalised)
 
+    @cached_property
+    def both_found(self) -> bool:
+        """Whether the views can separate the size of a cloud from its distance."""
+        return len(self.views) > 1 or bool(self.comparison.surfaces)
+
     def freedom(self, kind: Moved, keep: Keep) -> tuple[Freedom, Keep | None]:
         """What may change, and what stays of size and distance, where only one of them can."""
         unit = np.eye(UNKNOWNS)
         shift, turn, size = unit[:, SHIFT], unit[:, TURN], unit[:, [SIZE]]
         kept: Keep | None = None
         columns = [shift] if kind == "shift" else [turn, shift]
-        if len(self.views) > 1:
+        given = Placements.unmoved()
+        if self.both_found:
             columns += [size] if kind == "similarity" else []
         else:
             kept = keep
@@ -141,18 +147,20 @@ class _Placing:
             if kept == "distance":
                 columns[-1] = shift @ self.normalised[0].camera.R[:2].T
                 columns += [size] if kind == "similarity" else []
-        return Freedom(np.concatenate(columns, 1), Placements.unmoved(), GIVEN_ERROR), kept
+        freedom = Freedom(np.concatenate(columns, 1), given, GIVEN_ERROR)
+        of_depth = self.comparison.at_depth(given, freedom)
+        # A cloud in other units than the depth map.
+        if abs(np.log(of_depth.size[0])) > MOST_DEVIATIONS * GIVEN_ERROR[SIZE]:
+            freedom = replace(freedom, given=of_depth)
+        return freedom, kept
 
     def ladder(self, keep: Keep) -> Move:
         """The fewest unknowns that explain the misfit."""
-        unclear = any(
-            view.truncated or view.depth is not None or view.image is not None
-            for view in self.views
-        )
+        unclear = any(view.truncated or view.image is not None for view in self.views)
         if unclear or self.comparison.fits(Placements.unmoved()):
             return unmoved(self.views)
         rungs: list[tuple[Moved, Keep]] = [("pose", "size"), ("pose", "distance"), ("shift", keep)]
-        if len(self.views) > 1:
+        if self.both_found:
             rungs = [("similarity", keep), ("pose", keep), ("shift", keep)]
         # From many unknowns to few: a cloud that no move explains costs one search.
         moves: list[Move] = []
@@ -161,12 +169,19 @@ class _Placing:
                 continue
             freedom, kept = self.freedom(kind, kept_here)
             found = search_from(self.comparison, freedom, PROMISING_UNASKED)
-            change = found.placement.since(freedom.given)[0] / GIVEN_ERROR
-            if not moves and (not found.explains or np.abs(change).max() > MOST_DEVIATIONS):
+            if not moves and not self.is_plausible(found):
                 return unmoved(self.views)
             moves.append(self.move(kind, found, kept))
         enough = moves[0].missed + BRINGS_LITTLE
         return next(move for move in reversed(moves) if move.missed <= enough)
+
+    def is_plausible(self, found: Found) -> bool:
+        """Whether the default may believe in what a search found."""
+        given, depth = Placements.unmoved(), self.comparison.depth()
+        if depth is not None and depth(found.placement).value > depth(given).value:
+            return False
+        change = found.placement.since(given)[0] / GIVEN_ERROR
+        return found.explains and bool(np.abs(change).max() <= MOST_DEVIATIONS)
 
     def asked(self, kind: Moved, keep: Keep) -> Move:
         freedom, kept = self.freedom(kind, keep)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,9 +11,10 @@ from ..geometry.arrays import Array
 from ..geometry.points import scattered
 from ..geometry.rotations import lattice
 from ..geometry.view import View
-from .levenberg import Freedom, improve
+from .depth import DepthMisfit, Surface
+from .levenberg import Freedom, Misfit, improve
 from .misfit import Contour, ContourMisfit, NearestMisfit
-from .placement import TURN, UNKNOWNS, Placements
+from .placement import SIZE, TURN, UNKNOWNS, Placements
 from .target import Target
 
 # Side of the square in which cloud and mask are compared, in cells.
@@ -24,6 +25,8 @@ COARSE_POINTS, FINE_POINTS = 512, 4096
 STEPS = 15
 # Scales of gaps, in cells, from which contours draw a cloud: from afar, then nearer and nearer.
 FROM_AFAR, NEARER, EXACT = 4.0, 1.5, 0.6
+# The least scale of distances to a depth map, in cells. Depth maps are less exact than masks.
+LEAST_OF_DEPTH = 1.0
 # A point this many cells from a contour, in such scales, belongs to no piece of it.
 REACH = 3.5
 LEAST_REACH = 4.0
@@ -61,13 +64,16 @@ class Comparison:
     points: Array
     targets: tuple[Target, ...]
     contours: tuple[Contour, ...]
+    surfaces: tuple[Surface, ...]  # of the views with a depth map
 
     @classmethod
     def of(cls, points: Array, views: Sequence[View]) -> Comparison:
         targets = tuple(Target.of(view, SIDE) for view in views)
         points = scattered(points, FINE_POINTS)
         points = points[np.random.default_rng(0).permutation(len(points))]
-        return cls(points, targets, tuple(map(Contour.of, targets)))
+        surfaces = [Surface.of(target) for target in targets if target.depth is not None]
+        smooth = tuple(surface for surface in surfaces if surface.blocks)
+        return cls(points, targets, tuple(map(Contour.of, targets)), smooth)
 
     @property
     def cells(self) -> NearestMisfit:
@@ -79,11 +85,36 @@ class Comparison:
         points = self.points if points is None else points
         return ContourMisfit(points, self.contours, scale, max(REACH * scale, LEAST_REACH))
 
+    def exact(self, scale: float) -> Misfit:
+        """Of the edge of the cloud and the contours, and of its visible side and depth maps."""
+        contour = self.contour(scale)
+        depth = self.depth(max(scale, LEAST_OF_DEPTH))
+        if depth is None:
+            return contour
+        return lambda placements: contour(placements) + depth(placements)
+
+    def depth(self, scale: float = LEAST_OF_DEPTH) -> DepthMisfit | None:
+        """Of the visible side of the cloud and the depth maps; None without any."""
+        return DepthMisfit(self.points, self.surfaces, scale) if self.surfaces else None
+
     def settled(self, placements: Placements, freedom: Freedom) -> tuple[Placements, Array]:
-        """The placements as the contours draw them, and their posteriors [P]."""
+        """The placements as the contours and depth maps draw them, and their posteriors [P]."""
         for scale in (NEARER, EXACT):
-            placements, value = improve(placements, self.contour(scale), freedom, STEPS)
+            placements, value = improve(placements, self.exact(scale), freedom, STEPS)
         return placements, value
+
+    def at_depth(self, placements: Placements, freedom: Freedom) -> Placements:
+        """The placements, scaled about the camera to the distance that its depth map shows.
+
+        The silhouette in this camera stays. Nothing changes without a depth map, or if the size is
+        not free.
+        """
+        if not self.surfaces or not freedom.basis[SIZE].any():
+            return placements
+        position = self.surfaces[0].target.camera.position
+        factor = self.surfaces[0].farther(self.points, placements)
+        t = position + factor[:, None] * (placements.t - position)
+        return replace(placements, t=t, size=factor * placements.size)
 
     def missed(self, placements: Placements, scale: float = EXACT) -> Array:
         """[P] the share of the contours that a cloud of infinitely many points would miss.
@@ -151,9 +182,10 @@ def search_from(comparison: Comparison, freedom: Freedom, promising: float = PRO
 
 def _stages(comparison: Comparison, freedom: Freedom, by_cells: Placements) -> Iterator[Placements]:
     """Ever more starts: the given placement, as it approaches from afar; the same nearby."""
-    given, from_afar = freedom.given, comparison.contour(FROM_AFAR)
+    given, from_afar = freedom.given, comparison.exact(FROM_AFAR)
     by_contour, _ = improve(given, from_afar, freedom, STEPS)
-    yield Placements.joined([given, by_cells, by_contour])
+    of_depth = [comparison.at_depth(by_cells, freedom)] if comparison.surfaces else []
+    yield Placements.joined([given, by_cells, by_contour, *of_depth])
     step = np.zeros((Nearby.TURNS, UNKNOWNS))
     step[:, TURN] = np.radians(Nearby.DEGREES) * lattice(Nearby.TURNS)
     turned = given[np.zeros(Nearby.TURNS, np.int64)].stepped(step)

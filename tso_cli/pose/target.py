@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from ..geometry.arrays import Array, Bits, Box, Indices
 from ..geometry.camera import Camera
-from ..geometry.resampling import area_resize
+from ..geometry.resampling import area_resize, nearest_resize
 from ..geometry.view import View
 from .placement import FOCAL, SHIFT, SIZE, UNKNOWNS, Placements
 
@@ -33,6 +33,7 @@ class Projected:
 
     px: Array  # [P, N, 2] column and row
     offset: Array  # [P, N, 2] ``px`` without the principal point
+    depth: Array  # [P, N] along the camera's z axis
     inverse: Array  # [P, N] 1 / depth; 1 for an orthographic camera
     turned: Array  # [P, N, 3] the placed cloud about its centre
     camera: Camera
@@ -57,14 +58,27 @@ class Projected:
         by_point = by_camera @ self.camera.R
         if normals is None:
             arm = arm[..., None, :]
-        J = np.empty((*by_point.shape[:-1], UNKNOWNS))
-        # A small turn w moves a point at y from the centre by w x y.
-        (x, y, z), (u, v, w) = np.moveaxis(arm, -1, 0), np.moveaxis(by_point, -1, 0)
-        J[..., 0], J[..., 1], J[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
-        J[..., SHIFT] = by_point
-        J[..., SIZE] = (by_point * arm).sum(-1)
+        J = _by_unknowns(by_point, arm)
         J[..., FOCAL] = along
         return J
+
+    def depth_jacobian(self, rows: Indices, points: Indices) -> Array:
+        """Derivative [..., 8] of depths of some points by the eight unknowns, as `jacobian`."""
+        arm = self.turned[rows, points]
+        return _by_unknowns(np.broadcast_to(self.camera.R[2], arm.shape), arm)
+
+
+def _by_unknowns(by_point: Array, arm: Array) -> Array:
+    """Derivative [..., 8] of what changes by ``by_point`` [..., 3] for each unit of a point at
+    ``arm`` [..., 3] from the cloud's centre; 0 for the focal length.
+    """
+    J = np.zeros((*by_point.shape[:-1], UNKNOWNS))
+    # A small turn w moves a point at y from the centre by w x y.
+    (x, y, z), (u, v, w) = np.moveaxis(arm, -1, 0), np.moveaxis(by_point, -1, 0)
+    J[..., 0], J[..., 1], J[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    J[..., SHIFT] = by_point
+    J[..., SIZE] = (by_point * arm).sum(-1)
+    return J
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +90,7 @@ class Target:
     camera: Camera
     truncated: bool  # the picture cuts off the object, so points outside the picture are no error
     pixel: float  # side of a pixel of the mask, cells
+    depth: Array | None = None  # [S, S] NaN where it is unknown
 
     @classmethod
     def of(cls, view: View, side: int) -> Target:
@@ -84,7 +99,11 @@ class Target:
         mask, known = area_resize(view.mask, box, side, side, weights=view.known)
         camera = view.camera.cropped(box, side, side)
         pixel = side / (box[2] - box[0])
-        return cls(mask * (known > 0.0), known > 0.5, camera, view.truncated, pixel)
+        target = cls(mask * (known > 0.0), known > 0.5, camera, view.truncated, pixel)
+        if view.depth is None:
+            return target
+        depth = nearest_resize(view.depth, box, side)
+        return replace(target, depth=np.where(target.inside & target.known, depth, np.nan))
 
     @property
     def side(self) -> int:
@@ -119,10 +138,11 @@ class Target:
         inverse = np.ones(in_camera.shape[:2])
         if self.camera.model == "perspective":
             inverse = 1.0 / np.maximum(in_camera[..., 2], NEAREST)
+        depth = in_camera[..., 2]
         plane = in_camera[..., :2] * inverse[..., None] * placements.focal[:, None, None]
         offset = plane @ self.camera.K[:2, :2].T
         px = offset + self.camera.K[:2, 2]
-        return Projected(px, offset, inverse, turned, self.camera, placements.focal)
+        return Projected(px, offset, depth, inverse, turned, self.camera, placements.focal)
 
     def at(self, px: Array) -> tuple[Indices, Indices, Bits]:
         """Row and column of the cells of ``px`` [..., 2], clipped, and which px are within."""
