@@ -371,6 +371,46 @@ def photos() -> str:
     )
 
 
+def moves() -> str:
+    """Errors of clouds of the right shape in a wrong place, and of a wrong shape, by `--move`."""
+    rows: dict[str, list[list[str]]] = {"right": [], "near": [], "other": []}
+    for start, ways in record("moves")["summary"].items():
+        kind, off = start.split(", ")
+        off = off.removesuffix(" off").replace("0 degrees", "nothing")
+        if kind == "right":
+            cells = [f"{row['after']:.2f} ({100 * row['bent']:.1f} %)" for row in ways.values()]
+            some = next(iter(ways.values()))
+            rows[kind].append([off, f"{some['before']:.2f}", *cells, f"{some['floor']:.2f}"])
+        else:
+            shape = {"near": "a similar one", "other": "another"}[kind]
+            rows[kind].append([shape, off, *(f"{row['mean_ratio']:.2f}" for row in ways.values())])
+    names = [f"`{way}`" for way in ways]
+    right = markdown(["off by", "as given", *names, "floor"], rows["right"])
+    wrong = markdown(["shape", "off by", *names], rows["near"] + rows["other"])
+    return (
+        "Clouds of the right shape, errors (and how far the shape is bent):\n\n"
+        f"{right}\n\nClouds of a wrong shape, error after / before:\n\n{wrong}"
+    )
+
+
+def brought_back() -> str:
+    """How many clouds of the right shape `--move pose` brings back, by size of the mask."""
+    study = record("moves")["by_size"]
+    sizes = list(next(iter(study.values())))
+    rows = [
+        [
+            start.removeprefix("right, ").removesuffix(" off"),
+            *(
+                f"{row['near_floor']:.0%} ({100 * row['bent']:.2f} %)"
+                for row in of_sizes.values()
+            ),
+        ]
+        for start, of_sizes in study.items()
+        if not start.startswith("right, 0 ")
+    ]
+    return markdown(["off by", *(f"{size} mask" for size in sizes)], rows)
+
+
 def machine() -> str:
     """Where the times were taken."""
     settings = record("speed")["settings"]
@@ -550,6 +590,8 @@ FIGURES = (
     flagged,
     network,
     photos,
+    moves,
+    brought_back,
 )
 FIGURES += (machine, installation, objects, batches, scale, kernels, record_minutes)
 FILLED: dict[str, Callable[[], str]] = {made.__name__: made for made in FIGURES}

@@ -91,7 +91,7 @@ def _blurred(mask: Array, deviation: float) -> Array:
 def share_missed(placement: Indices, gap: Array, J: Array, count: int, pieces: int) -> System:
     """The sum over ``pieces``. A gap ``g`` counts as g^2 / (1 + g^2), a piece without one as 1.
 
-    gap : [G]. placement : [G], ascending, of each gap. J : [G, 8], derivative of what closes the gap.
+    gap : [G]. placement : [G], ascending, of each gap. J : [G, 8], derivative of what closes it.
     """
     system = System.empty(count)
     inlier = 1.0 / (1.0 + np.square(gap))
