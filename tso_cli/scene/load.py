@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Placing = Literal["silhouette", "box", "camera"]
 ONLY_SHOWN = "the cloud has no colours: the photo is shown, and does not guide the result"
+Y_UP = (".glb", ".gltf")  # by the definition of glTF
 MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 
 
@@ -87,6 +88,7 @@ def load_points_scene(
     with a warning. Errors as `load_views` and `read_cloud`.
     """
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
+    files = replace(files, y_up=cloud_file.suffix.lower() in Y_UP)
     assumptions = assumptions_of(assume, list(map(str, files.masks)))
     file = read_cloud(cloud_file)
     if file.source is not None:
