@@ -94,8 +94,9 @@ def load_points_scene(
     if file.source is not None:
         file.source.require_movable()
     colours = file.colours() if files.image else None
-    cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), faint=file.faint())
-    if not files.image or colours is not None:
+    paint = file.paint() if files.image else None
+    cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), False, file.faint(), paint)
+    if not files.image or colours is not None or cloud.paint is not None:
         return _scene_of(cloud, file, files, assumptions, fit)
     warnings.warn(ONLY_SHOWN, stacklevel=2)
     scene = _scene_of(cloud, file, replace(files, any_size=True), assumptions, fit)
