@@ -12,6 +12,8 @@ import tempfile
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from tests.corruption import is_read
 from tso_cli.errors import InputError, TsoError
 
@@ -97,12 +99,14 @@ def first_label(path):
 
 
 def faces(path):
-    """A cloud, its colours and its faces."""
+    """A cloud, its colours, and its faces with their paint at one point of each."""
     from tso_cli.io.clouds import read_cloud
 
     cloud = read_cloud(path)
-    cloud.faces()
+    faces, paint = cloud.faces(), cloud.paint()
     cloud.colours()
+    if faces is not None and paint is not None:
+        paint.at(np.arange(len(faces)), np.full((len(faces), 3), 1.0 / 3.0))
 
 
 def cameras(path):

@@ -52,6 +52,7 @@ def assert_is(camera, truth, unit=1.0):
         "kalibr_camchain.yaml",
         "temple_par.txt",
         "pix3d.json",
+        "sam3d.json",
         "camera.npz",
         "camera.pt",
     ],

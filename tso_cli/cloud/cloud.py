@@ -14,6 +14,7 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Bits, as_numbers
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.view import View
+from ..io.paint import Paint
 from ..pose.move import Body
 from .control_points import CONTROL_POINTS
 from .outliers import are_part_of_object, find_outliers
@@ -30,6 +31,7 @@ class Cloud:
     surface : the surface of a mesh, or None.
     not_a_mesh : why a cloud with faces has no surface, in words; else "".
     colours : [V, 3] float32 in [0, 1], or None.
+    paint : the colours of the surface, which come before those of the vertices; or None.
     predicted : whether a network predicted the cloud. All points of a prediction move by
         themselves, and none is an outlier.
     faint : [V] bool, points that cannot be seen, such as splats of low opacity. They follow, and
@@ -44,6 +46,7 @@ class Cloud:
         faces: Any = None,
         predicted: bool = False,
         faint: Bits | None = None,
+        paint: Paint | None = None,
     ) -> None:
         # In rows: every loop would be compiled anew for columns. A copy: what the caller does to
         # the points later is no matter of the result.
@@ -60,6 +63,7 @@ class Cloud:
         self.not_a_mesh = ""
         if faces is not None:
             self.surface, self.not_a_mesh = Surface.of(self.points, as_numpy(faces), name)
+        self.paint = paint if self.surface else None
 
     @cached_property
     def outliers(self) -> Bits:
@@ -112,6 +116,8 @@ class ControlledCloud:
     @cached_property
     def colours(self) -> NDArray[np.float32] | None:
         """[N, 3] colours of the control points in [0, 1], or None."""
+        if self.source.paint is not None and isinstance(self._control, SurfaceSamples):
+            return self._control.painted(self.source.paint).astype(np.float32)
         if self.source.colours is None:
             return None
         of_points = self.source.colours.astype(np.float64)

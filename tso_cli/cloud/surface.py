@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.points import CANDIDATES, as_triangles, draw_surface, spread_subset
+from ..io.paint import Paint
 from ..losses.nearest import nearest_few
 from .smooth_field import INTERPOLATED_FROM, falling_weights
 
@@ -32,7 +33,7 @@ class Surface:
         """Raises InputError where the triangles [F, 3] have no area."""
         drawn, shares = draw_surface(vertices, triangles, CANDIDATES, np.random.default_rng(0))
         self.vertices = vertices
-        self.corners = triangles[drawn]
+        self.faces, self.corners = drawn, triangles[drawn]
         self.shares = np.concatenate([1.0 - shares.sum(1, keepdims=True), shares], axis=1)
 
     @classmethod
@@ -78,6 +79,11 @@ class SurfaceSamples:
     def at_control_points(self, values: Array) -> Array:
         """[S, C], ``values`` [V, C] of the vertices interpolated at the control points."""
         return self._surface.at(values, self._chosen)
+
+    def painted(self, paint: Paint) -> Array:
+        """[S, 3], the colours of a ``paint`` at the control points."""
+        surface, chosen = self._surface, self._chosen
+        return paint.at(surface.faces[chosen], surface.shares[chosen])
 
     def measured(self, values: Array) -> Array:
         """[M, C], the same at all points drawn by area: the surface as it is measured."""

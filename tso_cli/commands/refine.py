@@ -173,10 +173,10 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--focal",
     type=float,
-    help="With --camera fit: the focal length in pixels of the mask.  [default: of the EXIF data "
-    "of the photo, else unknown]",
+    help="The focal length in pixels of the mask: with --camera fit, or with a --camera that holds "
+    "poses alone.  [default: with fit that of the EXIF data of the photo, else unknown]",
 )
-@click.option("--fov", type=float, help="With --camera fit: horizontal field of view, degrees.")
+@click.option("--fov", type=float, help="The same as horizontal field of view, degrees.")
 @click.option(
     "--pose-index",
     type=options.Whole(0),

@@ -94,8 +94,9 @@ class InputOptions:
             places = f"found --mode {self.mode}, which places its cloud before the camera itself"
             if self.fit:
                 raise InputError(f"--camera fit is for --mode points, {places}")
-            if self.intrinsics is not None:
-                raise InputError(f"--intrinsics is for --mode points, {places}")
+            for name in ("intrinsics", "focal", "fov"):
+                if getattr(self, name) is not None:
+                    raise InputError(f"--{name} is for --mode points, {places}")
             if self.assume:
                 raise InputError(f"--assume is for --mode points, {places}")
             return
@@ -138,16 +139,11 @@ class InputOptions:
             )
 
     def _check_fit(self) -> None:
-        """Options that are of a camera that is estimated."""
-        given = [
-            f"--{name.replace('_', '-')}"
-            for name in ("focal", "fov", "pose_index")
-            if getattr(self, name) is not None
-        ]
-        if given and not self.fit:
-            raise InputError(f"{given[0]} is for --camera fit, expected that too")
+        """Options of a camera that is estimated, or of what completes one."""
+        if self.pose_index is not None and not self.fit:
+            raise InputError("--pose-index is for --camera fit, expected that too")
         known = [name for name in ("intrinsics", "focal", "fov") if getattr(self, name) is not None]
-        if self.fit and len(known) > 1:
+        if len(known) > 1:
             raise InputError(f"--{known[0]} and --{known[1]}, expected one of them")
         if self.focal is not None and not 0.0 < self.focal < math.inf:
             raise InputError(f"--focal {self.focal:g}, expected pixels, more than 0")

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array
-from ..geometry.camera import Camera
+from ..geometry.camera import Camera, from_shares
 from ..geometry.mirror_plane import MirrorPlane
 from ..geometry.view import View
 
@@ -111,9 +111,7 @@ def _image(factor: float) -> Callable[[Camera], Camera]:
 
 def _of_shares(camera: Camera) -> Camera:
     """K is in shares of width and height, with pixel centres at halves, as MoGe's."""
-    K = np.diag([float(camera.width), float(camera.height), 1.0]) @ camera.K
-    K[:2, 2] -= 0.5
-    return replace(camera, K=K)
+    return replace(camera, K=from_shares(camera.K, camera.width, camera.height))
 
 
 def _of_ndc(camera: Camera) -> Camera:

@@ -168,3 +168,10 @@ def intrinsics(focal: float, width: int, height: int) -> Array:
     return np.array(
         [[focal, 0.0, (width - 1) / 2.0], [0.0, focal, (height - 1) / 2.0], [0.0, 0.0, 1.0]]
     )
+
+
+def from_shares(K: Array, width: int, height: int) -> Array:
+    """K [3, 3] in pixels, of a ``K`` in shares of width and height with pixel centres at halves."""
+    in_pixels: Array = np.diag([float(width), float(height), 1.0]) @ K
+    in_pixels[:2, 2] -= 0.5
+    return in_pixels

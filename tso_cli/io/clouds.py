@@ -18,7 +18,8 @@ from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import as_triangles, longest_side
 from .movable import MovableFile, in_words
-from .output import check_output, write_file
+from .output import check_output, reason, write_file
+from .paint import Paint
 from .ply import PlyFile, new_ply
 from .reading import is_there, plain, read_array, read_bytes, require_memory, shown
 from .similarity import Similarity, similarity_of
@@ -70,6 +71,20 @@ class PointCloud:
     def colours(self) -> Array | None:
         """Red, green and blue [N, 3] of the points, in [0, 1]; None if there are none."""
         return self.source.read_colours() if self.source else self.rgb
+
+    def paint(self) -> Paint | None:
+        """The colours of the surface of a mesh with textures or materials; None for one colour.
+
+        A warning says why a texture cannot be used; then there are none.
+        """
+        # Pictures only decorate: whatever is wrong with them must not stop the work.
+        try:
+            with np.errstate(all="ignore"):
+                return self.source.read_paint() if self.source else None
+        except Exception as error:
+            why = reason(error) if isinstance(error, InputError) else f"damaged ({reason(error)})"
+            warnings.warn(f"{self.path}: its textures are not used: {why}", stacklevel=2)
+            return None
 
     def faint(self) -> Bits | None:
         """[N], splats of an opacity under 5 %; None if the file has no splats."""

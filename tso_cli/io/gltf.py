@@ -38,10 +38,12 @@ from .gltf_scene import (
     with_uri,
 )
 from .movable import MovableFile
+from .paint import Paint, refuse
 from .reading import plain, read_bytes, require_memory
 from .similarity import Similarity, similarity_of
+from .textures import Folder, Texture
 
-# What stands for 1 in colours of whole numbers.
+# What stands for 1 in colours and texture coordinates of whole numbers.
 _FULL = {"u1": 255.0, "u2": 65535.0}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _COMPRESSED = {
@@ -78,6 +80,7 @@ class _Primitive:
     part: _Part
     triangles: Indices
     attributes: dict[str, Any]  # names of values of the vertices -> accessors
+    material: Any  # its number, or None
 
     def directions(self) -> list[_Directions]:
         """The normals and the tangents, where there are some."""
@@ -262,7 +265,7 @@ class GltfFile(Checked, MovableFile):
             triangles = np.stack([first, indices[1:-1], indices[2:]], 1)
         else:
             triangles = np.empty((0, 3), np.int64)  # points and lines
-        return _Primitive(part, triangles, attributes)
+        return _Primitive(part, triangles, attributes, primitive.get("material"))
 
     def _positions(self, accessor: Any) -> Array:
         values = self._values(accessor, ("VEC3",))
@@ -358,8 +361,36 @@ class GltfFile(Checked, MovableFile):
         values = None if self._document.get("textures") else self._of_vertices("COLOR_0", 3, 4)
         if values is None:
             return None
-        colours = np.concatenate([v[:, :3] / _FULL.get(v.dtype.str[1:], 1.0) for _, v in values])
+        colours = np.concatenate([_as_shares(v[:, :3]) for _, v in values])
         return colours if ((colours >= 0.0) & (colours <= 1.0)).all() else None
+
+    def read_paint(self) -> Paint | None:
+        """The base colours of the materials, times the colours of the vertices."""
+        from .gltf_paint import Materials
+
+        folder = Folder(self.path, None, refuse)
+        materials = Materials(self._document, self._bytes_of_view, folder)
+        corners, textures, first = [], [], 0
+        for one in self._primitives:
+            coat, faces = materials.coat(one.material), first + np.arange(len(one.triangles))
+            first += len(faces)
+            tint = np.tile(coat.factor, (one.part.count, 1))
+            if (accessor := one.attributes.get("COLOR_0")) is not None:
+                tint *= _as_shares(self._values(accessor, ("VEC3", "VEC4"))[:, :3])
+            corners.append(tint[one.triangles])
+            if coat.picture is not None and len(faces):
+                accessor = one.attributes.get(f"TEXCOORD_{coat.coordinates}")
+                if accessor is None:
+                    raise InputError("a texture has no coordinates on the mesh")
+                places = coat.placed(_as_shares(self._values(accessor, ("VEC2",))))
+                at = places[one.triangles]
+                textures.append(Texture(coat.picture, faces, at, wraps=coat.wraps))
+        return Paint.of(corners, textures)
+
+    def _bytes_of_view(self, number: int) -> bytes:
+        view = self._views[number]
+        begin = view.get("byteOffset", 0)
+        return self._buffers[view.get("buffer", 0)][begin : begin + view["byteLength"]]
 
     def read_normals(self) -> Array | None:
         """The normal of each vertex [V, 3] in the world; None unless all vertices have one."""
@@ -558,6 +589,11 @@ class GltfFile(Checked, MovableFile):
             binary = bytes(buffers[own])
             rest = rest[:8] + binary + rest[8 + len(binary) :]
         return glb_of(self.data, text, rest)
+
+
+def _as_shares(values: NDArray[Any]) -> Array:
+    """``values`` as double; whole numbers as shares of the largest that they can be."""
+    return _as_double(values) / _FULL.get(values.dtype.str[1:], 1.0)
 
 
 def _as_double(values: NDArray[Any]) -> Array:

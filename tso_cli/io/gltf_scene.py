@@ -116,13 +116,24 @@ def with_base_colours(data: bytes) -> bytes:
         extensions = material.get("extensions") or {}
         gloss = extensions.get(_GLOSS)
         if isinstance(gloss, dict) and gloss.keys() & set(_GLOSS_PICTURES):
+            material["pbrMetallicRoughness"] = base_colour_of(material)
             del extensions[_GLOSS]
-            base = {"baseColorFactor": gloss.get("diffuseFactor", [1, 1, 1, 1])}
-            if "diffuseTexture" in gloss:
-                base["baseColorTexture"] = gloss["diffuseTexture"]
-            material.setdefault("pbrMetallicRoughness", base)
             changed = True
     return glb_of(data, json.dumps(document), data[20 + length :]) if changed else data
+
+
+def base_colour_of(material: dict[str, Any]) -> dict[str, Any]:
+    """``baseColorFactor`` and ``baseColorTexture`` of a material.
+
+    Of one for specular and glossiness they are its diffuse colours.
+    """
+    gloss = (material.get("extensions") or {}).get(_GLOSS)
+    if "pbrMetallicRoughness" in material or not isinstance(gloss, dict):
+        return material.get("pbrMetallicRoughness") or {}
+    base = {"baseColorFactor": gloss.get("diffuseFactor", [1, 1, 1, 1])}
+    if "diffuseTexture" in gloss:
+        base["baseColorTexture"] = gloss["diffuseTexture"]
+    return base
 
 
 def glb_of(data: bytes, text: str, rest: bytes) -> bytes:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 
 from ..geometry.arrays import Array, Bits, Indices
+from .paint import Paint
 
 
 class MovableFile(ABC):
@@ -40,6 +41,13 @@ class MovableFile(ABC):
 
     def read_colours(self) -> Array | None:
         """Red, green and blue [N, 3] in [0, 1], or None."""
+        return None
+
+    def read_paint(self) -> Paint | None:
+        """The colours of the surface of a mesh; None if they say nothing, as if all are one.
+
+        Raises any error if a file is damaged or missing.
+        """
         return None
 
     def read_faint(self) -> Bits | None:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,20 +27,23 @@ from .reading import require_memory, shown
 # Pixels of all pictures on a mesh: 16 of 8192 x 8192. They take 4 GB and half a minute; pictures of
 # one colour take a thousandth of that on disk.
 MOST_PIXELS = 1 << 30
-_FORMATS = (*FORMATS, "TGA")
+TEXTURE_FORMATS = (*FORMATS, "TGA")
 # Bytes of a pixel of each picture, and of the one that is decoded.
 _KEPT, _DECODING = 3, 16
 Tint = tuple[float, float, float]
+# What a picture shows outside texture coordinates 0 to 1.
+Wrap = Literal["repeat", "mirror", "clamp"]
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A picture on faces of a mesh; outside texture coordinates 0 to 1 it repeats."""
+    """A picture on faces of a mesh."""
 
     pixels: Pixels  # [H, W, 3], the first row on top
     faces: Indices  # [K], the faces of the mesh that the picture covers
     corners: Array  # [K, 3, 2], texture coordinates of their corners: u right, v up from lower left
     tint: Tint | None = None  # the factors of red, green and blue by which the colours are seen
+    wraps: tuple[Wrap, Wrap] = ("repeat", "repeat")  # of u and of v
 
     def at(self, rows: Indices, barycentric: Array) -> Pixels:
         """Colours [N, 3] of points in the faces ``faces[rows]``.
@@ -49,9 +52,10 @@ class Texture:
         """
         first, second, third = self.corners[rows].transpose(1, 0, 2)
         place = first + barycentric[:, :1] * (second - first) + barycentric[:, 1:] * (third - first)
+        place = np.stack([_wrapped(*one) for one in zip(place.T, self.wraps, strict=True)], 1)
         sides = np.array(self.pixels.shape[1::-1])
-        # np.mod may round up to 1.
-        column, from_below = np.minimum((np.mod(place, 1.0) * sides).astype(np.int64), sides - 1).T
+        # A place may be 1: np.mod may round up.
+        column, from_below = np.minimum((place * sides).astype(np.int64), sides - 1).T
         return self.tinted(self.pixels[sides[1] - 1 - from_below, column])
 
     def tinted(self, colours: Pixels) -> Pixels:
@@ -59,6 +63,15 @@ class Texture:
         if self.tint is None:
             return colours
         return np.rint(colours * np.array(self.tint)).astype(np.uint8)
+
+
+def _wrapped(place: Array, wrap: Wrap) -> Array:
+    """Texture coordinates [N] in 0 to 1."""
+    if wrap == "clamp":
+        return np.clip(place, 0.0, 1.0)
+    if wrap == "mirror":
+        return 1.0 - np.abs(np.mod(place, 2.0) - 1.0)
+    return np.asarray(np.mod(place, 1.0))
 
 
 class Pictures:
@@ -75,7 +88,7 @@ class Pictures:
         self, path: Path, content: bytes, decode: bool, within: Path | None = None
     ) -> None:
         self.missing: list[str] = []
-        self.resolver: Any = _Folder(path, within, self._miss)
+        self.resolver: Any = Folder(path, within, self._miss)
         self._path, self._decode = path, decode
         # Parts and materials may share a picture: by its bytes it is known again.
         self._waiting: dict[bytes, tuple[Any, str]] = {}  # pictures to decode, and their names
@@ -142,8 +155,10 @@ class Pictures:
 
     def _decoded(self, image: Any, name: str) -> Pixels | None:
         try:
-            if image.format not in _FORMATS:
-                raise InputError(f"{name}: is {image.format}, expected {', '.join(_FORMATS)}")
+            if image.format not in TEXTURE_FORMATS:
+                raise InputError(
+                    f"{name}: is {image.format}, expected {', '.join(TEXTURE_FORMATS)}"
+                )
             return np.ascontiguousarray(as_colours(image, Path(name))[..., :3])
         # Decoders fail on damaged files in many ways.
         except Exception:
@@ -156,7 +171,7 @@ class Pictures:
             self.missing.append(problem)
 
 
-class _Folder:
+class Folder:
     """The files below ``within`` that the mesh ``path`` may name.
 
     ``miss`` is called for pictures that are missing or damaged.
@@ -197,7 +212,7 @@ def _opens(content: bytes) -> bool:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # sizes are checked later, all together
-            Image.open(io.BytesIO(content), formats=_FORMATS).close()
+            Image.open(io.BytesIO(content), formats=TEXTURE_FORMATS).close()
     except Exception:
         return False
     return True

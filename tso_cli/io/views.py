@@ -14,13 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..geometry.arrays import Array
 from ..geometry.camera import Camera, intrinsics
 from ..geometry.distortion import Distortion, undistorted
 from ..geometry.view import View
 from .cameras import (
+    Intrinsics,
     PartialCamera,
     find_camera,
     named_images,
+    of_horizontal_angle,
     paired,
     read_partial_cameras,
     same_shape,
@@ -40,8 +43,10 @@ class ViewFiles:
     camera : the file or folder of all cameras; None looks for files next to the masks.
     camera_format : its format; None finds out. object_id : the object of a data set with several.
     intrinsics : a camera file whose K is used in place of that of ``camera``.
-    focal, fov : without a camera: the focal length in px of the mask, or the horizontal field of
-        view in degrees.
+    focal, fov : the focal length in px of the mask, or the horizontal field of view in degrees;
+        without a camera, or for a ``camera`` without K.
+    y_up : whether the cloud has y up, as glTF defines it. A pose of the same object with its z up
+        is turned for it.
     choice : which object of a mask file is meant.
     any_size : images may be larger or smaller than their masks, and are resized.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
@@ -60,6 +65,16 @@ class ViewFiles:
     image: Sequence[Path] = ()
     choice: MaskChoice = MaskChoice()
     any_size: bool = False
+    y_up: bool = False
+
+    @property
+    def known_focal(self) -> tuple[str, Intrinsics] | None:
+        """K by ``focal`` or ``fov``, and what gave it; None if neither is known."""
+        if self.fov is not None:
+            return "the given field of view", of_horizontal_angle(math.radians(self.fov))
+        if self.focal is not None:
+            return "the given focal length", partial(intrinsics, self.focal)
+        return None
 
     def one_each(self, name: str, plural: str, files: Sequence[Path]) -> Sequence[Path | None]:
         """The file of each mask, None where there are no files; InputError for another number."""
@@ -183,20 +198,19 @@ def view_without_camera(files: ViewFiles) -> tuple[View, KnownFocal]:
 
 def _with_focal(view: View, files: ViewFiles) -> tuple[View, KnownFocal]:
     height, width = view.mask.shape
-    focal, known = files.focal, KnownFocal("the given focal length", 0.0)
-    if files.fov is not None:
-        focal = width / 2.0 / math.tan(math.radians(files.fov) / 2.0)
-        known = KnownFocal("the given field of view", 0.0)
-    if focal is None:
-        for photo in (*files.image, *files.masks):
-            if share := focal_length_of_exif(photo):
-                focal = share * math.hypot(width, height)
-                known = KnownFocal(f"the EXIF data of {photo.name}", KnownFocal.OF_EXIF)
-                break
-    if focal is None:
-        return view, KnownFocal()
-    K = intrinsics(focal, width, height)
-    return replace(view, camera=replace(view.camera, K=K)), known
+    if given := files.known_focal:
+        source, of_size = given
+        return _with_K(view, of_size(width, height)), KnownFocal(source, 0.0)
+    for photo in (*files.image, *files.masks):
+        if share := focal_length_of_exif(photo):
+            K = intrinsics(share * math.hypot(width, height), width, height)
+            known = KnownFocal(f"the EXIF data of {photo.name}", KnownFocal.OF_EXIF)
+            return _with_K(view, K), known
+    return view, KnownFocal()
+
+
+def _with_K(view: View, K: Array) -> View:
+    return replace(view, camera=replace(view.camera, K=K))
 
 
 def named_photos(files: ViewFiles) -> list[Path]:
@@ -224,11 +238,16 @@ def _cameras(files: ViewFiles) -> tuple[list[PartialCamera | None], list[CameraO
         given, name = read_partial_cameras(source, files.camera_format, files.object_id)
         chosen, by_name = paired(source, given, masks)
         for number, camera in zip(numbers, chosen, strict=True):
-            cameras[number] = camera
             # In tso's own format the views that masks name need no further words.
             shown = name != OWN_FORMAT or not by_name
             view = camera.label if shown and (len(given) > 1 or name != OWN_FORMAT) else ""
-            origins[number] = CameraOrigin(source, view, by_name, name)
+            turned = ("turned for a cloud with y up",) if files.y_up and camera.z_up else ()
+            cameras[number] = camera.for_y_up() if files.y_up else camera
+            origins[number] = CameraOrigin(source, view, by_name, name, turned)
+    if known := files.known_focal:
+        for number, (posed, origin) in enumerate(zip(cameras, origins, strict=True)):
+            cameras[number] = _with_given_focal(posed, origin.file, known[1])
+            origins[number] = replace(origin, notes=(*origin.notes, f"with {known[0]}"))
     if files.intrinsics is not None:
         given, _ = read_partial_cameras(files.intrinsics)
         for number, (posed, origin) in enumerate(zip(cameras, origins, strict=True)):
@@ -241,6 +260,23 @@ def _cameras(files: ViewFiles) -> tuple[list[PartialCamera | None], list[CameraO
             note = f"K of {files.intrinsics}"
             origins[number] = replace(origin, notes=(*origin.notes, note))
     return cameras, origins
+
+
+def _with_given_focal(
+    posed: PartialCamera | None, file: Path | None, known: Intrinsics
+) -> PartialCamera:
+    """``posed``, which is of ``file``, with the K that is given by a focal length or an angle."""
+    if posed is None:
+        raise InputError(
+            "`focal` and `fov` say nothing about the pose, expected `camera` FILE with a pose, or "
+            "`camera` fit"
+        )
+    if posed.intrinsics is not None:
+        raise InputError(
+            f"{file}: has K, and `focal` or `fov` says it again, expected one; leave them out, or "
+            "replace K by `intrinsics` FILE"
+        )
+    return replace(posed, intrinsics=known)
 
 
 def with_intrinsics(

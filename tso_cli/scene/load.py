@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Placing = Literal["silhouette", "box", "camera"]
 ONLY_SHOWN = "the cloud has no colours: the photo is shown, and does not guide the result"
+Y_UP = (".glb", ".gltf")  # by the definition of glTF
 MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 
 
@@ -87,13 +88,15 @@ def load_points_scene(
     with a warning. Errors as `load_views` and `read_cloud`.
     """
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
+    files = replace(files, y_up=cloud_file.suffix.lower() in Y_UP)
     assumptions = assumptions_of(assume, list(map(str, files.masks)))
     file = read_cloud(cloud_file)
     if file.source is not None:
         file.source.require_movable()
     colours = file.colours() if files.image else None
-    cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), faint=file.faint())
-    if not files.image or colours is not None:
+    paint = file.paint() if files.image else None
+    cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), False, file.faint(), paint)
+    if not files.image or colours is not None or cloud.paint is not None:
         return _scene_of(cloud, file, files, assumptions, fit)
     warnings.warn(ONLY_SHOWN, stacklevel=2)
     scene = _scene_of(cloud, file, replace(files, any_size=True), assumptions, fit)

@@ -15,7 +15,14 @@ from ..reading import is_there
 from . import of_bop
 from .formats import FORMATS, read_partial_cameras, words_of
 from .matching import paired
-from .record import CameraRecord, PartialCamera, of_pixels, same_shape
+from .record import (
+    CameraRecord,
+    Intrinsics,
+    PartialCamera,
+    of_horizontal_angle,
+    of_pixels,
+    same_shape,
+)
 from .source import CameraSource
 from .write import camera_text, write_cameras
 

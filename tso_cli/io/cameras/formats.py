@@ -21,6 +21,7 @@ FORMATS = {
     "bop": ("a scene of BOP", "json folder"),
     "open3d": ("Open3D's pinhole camera or trajectory", "json text"),
     "pix3d": ("annotations of Pix3D", "json"),
+    "sam3d": ("the pose of SAM 3D Objects", "json"),
     "gltf": ("cameras of a glTF or GLB scene", "json glb"),
     "kaolin": ("kaolin's camera", "json"),
     "opencv": ("an OpenCV calibration, ROS camera_info or Kalibr", "yaml json zip"),

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import InputError, prefixed
 from ...geometry.arrays import Array
-from ...geometry.camera import Camera
+from ...geometry.camera import Camera, from_shares
 from ...geometry.distortion import Distortion
 from ..reading import plain
 
@@ -21,6 +21,8 @@ Intrinsics = Callable[[int, int], Array]
 # Between the axes of a camera of another program and those of OpenCV (x right, y down, z forward).
 OPENGL = np.diag([1.0, -1.0, -1.0])  # x right, y up, z backward; also Blender, NeRF, glTF
 PYTORCH3D = np.diag([-1.0, -1.0, 1.0])  # x left, y up, z forward; also Pix3D
+# From points with y up, as glTF has them, to points with z up.
+_Y_UP_TO_Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 # Sides of pictures may differ by this many pixels if a program rounded a size.
 ROUNDED = 1.0
 
@@ -44,6 +46,7 @@ class PartialCamera:
     size : width and height of the picture, px.
     mask, image : the files that the view names.
     names : names of further files of this view, such as masks that a data set derives from it.
+    z_up : whether the pose is that of an object whose z is up, though its mesh may have y up.
     """
 
     title: str
@@ -57,6 +60,7 @@ class PartialCamera:
     image: Path | None = None
     names: tuple[str, ...] = ()
     sized_by: Path | None = None  # the file that says the size, if it is another one
+    z_up: bool = False
 
     @property
     def label(self) -> str:
@@ -64,6 +68,12 @@ class PartialCamera:
         file = self.mask or self.image
         name = file.name if file else self.title
         return plain(name) if name else ""
+
+    def for_y_up(self) -> PartialCamera:
+        """The same view of the same object with its y up, if this is of one with its z up."""
+        if not self.z_up or self.R is None:
+            return self
+        return replace(self, R=self.R @ _Y_UP_TO_Z_UP, z_up=False)
 
     def camera(self, path: Path, width: int, height: int) -> Camera:
         """The camera for a mask of ``width`` x ``height``; ``path`` is the camera file.
@@ -82,7 +92,7 @@ class PartialCamera:
         if self.intrinsics is None:
             raise InputError(
                 f"{where}has a pose but no focal length, expected both; name a file with K: "
-                "`intrinsics` FILE"
+                "`intrinsics` FILE, or give `focal` PX or `fov` DEGREES"
             )
         if self.R is None or self.t is None:
             if path.stem == "cameras" and path.suffix in (".bin", ".txt"):
@@ -160,6 +170,11 @@ def of_vertical_angle(radians: float) -> Intrinsics:
     """As `of_widths`, from the vertical field of view."""
     focal = 0.5 / math.tan(radians / 2.0)
     return lambda width, height: _centred(focal * height, width, height)
+
+
+def of_shares(K: Array) -> Intrinsics:
+    """``K`` in shares of the width and the height, with pixel centres at halves, as MoGe's."""
+    return lambda width, height: from_shares(K, width, height)
 
 
 def of_ndc(fx: float, fy: float, px: float, py: float) -> Intrinsics:
