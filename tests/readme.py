@@ -400,10 +400,7 @@ def brought_back() -> str:
     rows = [
         [
             start.removeprefix("right, ").removesuffix(" off"),
-            *(
-                f"{row['near_floor']:.0%} ({100 * row['bent']:.2f} %)"
-                for row in of_sizes.values()
-            ),
+            *(f"{row['near_floor']:.0%} ({100 * row['bent']:.2f} %)" for row in of_sizes.values()),
         ]
         for start, of_sizes in study.items()
         if not start.startswith("right, 0 ")

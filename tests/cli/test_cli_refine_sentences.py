@@ -325,7 +325,7 @@ def test_notes_follow_the_warnings_of_a_result(moved):
 
 def test_an_unsure_camera_is_said_once(moved):
     camera = Finding("unsure-camera", (0,), values={"why": "two poses fit"})
-    trust = Trust("improved", 0.9).with_camera(Diagnosis((), notes=(camera,)))
+    trust = Trust("improved", 0.9).with_pose(Diagnosis((), notes=(camera,)))
     (warning,) = ONE.warnings(changed(moved, trust=trust, findings=(camera,)))
     assert warning.endswith("the fitted camera is unsure: two poses fit")
 

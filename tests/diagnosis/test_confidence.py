@@ -8,6 +8,7 @@ import pytest
 from tests.scenes import about, example, in_photo
 from tso_cli import RefineConfig, View, refine, refine_batch
 from tso_cli.diagnosis.confidence import (
+    CONFIDENCE_OF_A_MOVE,
     FINDING,
     HELD_BACK,
     HELD_BACK_IF_OUTVOTED,
@@ -108,6 +109,14 @@ def test_the_share_of_the_displacement_that_is_taken_of_suspicious_input(
     assert trust.says == words_of(diagnosis)
 
 
+def test_after_a_move_the_confidence_is_that_of_the_move_where_it_explains_the_misfit(right, wrong):
+    for features in (right.trust.features, wrong.trust.features):
+        alone = Trust.of(features, NOTHING).confidence
+        moved = Trust.of(features, NOTHING, explained=False).confidence
+        assert moved == pytest.approx(CONFIDENCE_OF_A_MOVE * alone)
+        assert Trust.of(features, NOTHING, explained=True).confidence == CONFIDENCE_OF_A_MOVE
+
+
 def test_a_weak_hypothesis_that_is_not_confirmed_changes_nothing(right):
     weak = Diagnosis((), weak=Finding("mask-flipped", (0,)))
     assert Trust.of(right.trust.features, weak) == right.trust
@@ -136,20 +145,20 @@ def test_without_a_confidence_there_is_no_verdict_except_with_a_finding(diagnosi
     assert Trust.unknown("steps", "6 steps are too few", diagnosis) == expected
 
 
-def unsure(diagnosis: Diagnosis) -> Diagnosis:
+def unsure(diagnosis: Diagnosis, name: str = "unsure-camera") -> Diagnosis:
     """The diagnosis of an input whose camera was fitted, and is unsure."""
-    note = Finding("unsure-camera", (0,), values={"why": "two poses fit"})
+    note = Finding(name, (0,), values={"why": "two poses fit"})
     return replace(diagnosis, notes=(note,))
 
 
 def test_a_sure_camera_costs_no_confidence():
     trust = Trust("improved", 0.97)
-    assert trust.with_camera(NOTHING) == trust
+    assert trust.with_pose(NOTHING) == trust
 
 
 @pytest.mark.parametrize("confidence", [0.97, 0.3, None])
 def test_an_unsure_camera_makes_any_result_doubtful(confidence):
-    trust = Trust("improved", confidence).with_camera(unsure(NOTHING))
+    trust = Trust("improved", confidence).with_pose(unsure(NOTHING))
     assert trust.verdict == "doubtful"
     assert trust.reason == "unsure-camera"
     assert trust.says == "the fitted camera is unsure: two poses fit"
@@ -157,8 +166,14 @@ def test_an_unsure_camera_makes_any_result_doubtful(confidence):
     assert trust.confidence == expected
 
 
+def test_so_does_an_unsure_place_of_the_cloud():
+    trust = Trust("improved", 0.9).with_pose(unsure(NOTHING, "unsure-place"))
+    assert (trust.verdict, trust.confidence) == ("doubtful", MOST_CONFIDENCE_IF_UNSURE)
+    assert trust.says == "the place of the cloud is unsure: two poses fit"
+
+
 def test_a_finding_is_the_reason_also_with_an_unsure_camera():
-    trust = Trust.unchanged(OPENGL).with_camera(unsure(OPENGL))
+    trust = Trust.unchanged(OPENGL).with_pose(unsure(OPENGL))
     assert trust.reason == FINDING
     assert trust.says == words_of(OPENGL)
     assert trust.confidence == MOST_CONFIDENCE_IF_UNSURE

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes import EXAMPLES, about, example
-from tso_cli import RefineConfig, View, refine
+from tests.scenes import EXAMPLES, about, example, seen
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
@@ -114,8 +114,27 @@ def test_several_views_tell_size_from_distance_and_find_a_cloud_in_another_frame
     elsewhere = _wrong(points, about("x", 100.0) @ about("y", 30.0), (5.0, -3.0, 8.0), 0.2)
     found = _move(elsewhere, *views, asked="similarity")
     assert found.alternatives
+    assert found.why_unsure == ""
     assert found.size == pytest.approx(5.0, rel=0.02)
     assert _error(found, elsewhere, points) < floor
+
+
+def test_a_place_found_in_all_directions_is_unsure_if_the_cloud_is_of_another_shape():
+    away = CHAIR.points + [0.0, 5.0, 0.0]
+    result = refine(away, CHAIR.view, config=RefineConfig(move="pose", steps=0))
+    assert "of the contours at best, expected at most 20%" in result.move.why_unsure
+    assert (result.trust.verdict, result.trust.reason) == ("doubtful", "unsure-place")
+
+
+def test_a_place_is_unsure_if_another_one_that_is_no_symmetry_fits_as_well():
+    # A plate with a hole: its mask does not tell which of its sides is seen.
+    x, y = np.mgrid[-0.5:0.5:60j, -0.3:0.3:36j].reshape(2, -1)
+    dent = 0.1 * np.exp(-(((x - 0.3) / 0.05) ** 2) - ((y - 0.1) / 0.05) ** 2)
+    hole = (x + 0.2) ** 2 + (y + 0.1) ** 2 > 0.1**2
+    plate = np.stack([x, y, dent], 1)[hole]
+    view = seen(plate, replace(Camera.canonical(128, 128), R=np.eye(3) * [1.0, -1.0, -1.0]))
+    move = _move(plate + [9.0, 0.0, 0.0], view, asked="pose")
+    assert "turned by another" in move.why_unsure
 
 
 def test_a_camera_that_moves_leaves_the_cloud_where_it_is():

@@ -9,8 +9,8 @@ from tests.corruption import assert_refused
 from tests.scenes import about, block
 from tso_cli.geometry.rotations import angle_between, from_vectors, spread
 from tso_cli.io.cameras import read_camera
-from tso_cli.pose.everywhere import spacing
-from tso_cli.pose.fit import _same_by_symmetry, fit_camera
+from tso_cli.pose.everywhere import same_by_symmetry, spacing
+from tso_cli.pose.fit import fit_camera
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +60,8 @@ def test_a_symmetry_of_the_cloud_is_no_alternative():
     turns = [about("y", 90.0 * quarters) for quarters in range(4)]
     cross = np.concatenate([quarter @ turn.T for turn in turns])
     gap = spacing(cross)
-    assert _same_by_symmetry(cross, np.eye(3), turns[1], gap)
-    assert not _same_by_symmetry(cross, np.eye(3), about("y", 45.0), gap)
+    assert same_by_symmetry(cross, np.eye(3), turns[1], gap)
+    assert not same_by_symmetry(cross, np.eye(3), about("y", 45.0), gap)
 
 
 def test_starting_rotations_cover_all_directions():

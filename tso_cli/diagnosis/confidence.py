@@ -42,7 +42,9 @@ HELD_BACK_IF_OUTVOTED = (0.1, 0.3)
 # Nothing is held back where short optimisations alone show a mistake: the start may as well be
 # another shape, which gains by the whole displacement. Nor is it without a finding: a cloud far off
 # its mask looks like a wrong camera, and so does a box that was stretched.
-# The most confidence with a fitted camera that is unsure: half of these cameras are off by over 15
+UNSURE = ("unsure-camera", "unsure-place")
+"""The notes that say that a pose found in all directions is unsure."""
+# The most confidence with one of them: half of these cameras are off by over 15
 # degrees (`tso lab pose`).
 MOST_CONFIDENCE_IF_UNSURE = 0.49
 # What is said if the features of a group lower the confidence most.
@@ -78,8 +80,8 @@ class Trust:
         be worse, or the input is suspicious; None if there is no confidence.
     confidence : probability that the whole displacement does not make the cloud worse by over 5 %
         in Chamfer distance, in [0, 1]; None if it is not known.
-    reason : "finding", a group of features (`REASONS`) or "unsure-camera" if doubtful; else why
-        there is no confidence.
+    reason : "finding", a group of features (`REASONS`), "unsure-camera" or "unsure-place" if
+        doubtful; else why there is no confidence.
     says : the reason in words; "" if there is none.
     displacement_taken : the share of the displacement that is taken: 1, less where the result is
         doubtful, 0 where nothing moved.
@@ -94,9 +96,20 @@ class Trust:
     features: dict[str, float] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, features: dict[str, float], diagnosis: Diagnosis) -> Trust:
-        """Of a result with ``features``, of an input with this ``diagnosis``."""
+    def of(
+        cls, features: dict[str, float], diagnosis: Diagnosis, explained: bool | None = None
+    ) -> Trust:
+        """Of a result with ``features``, of an input with this ``diagnosis``.
+
+        explained : whether a move as one, before the shape was refined, explains why the cloud did
+            not fit; None if nothing moved.
+        """
         confidence, group = confidence_of(features)
+        if explained:
+            # What the place gained is more than what a shape that fits already could lose.
+            confidence = 1.0
+        if explained is not None:
+            confidence *= CONFIDENCE_OF_A_MOVE
         confidence = min(confidence, diagnosis.most_confidence)
         if diagnosis.suspicious:
             share = 1.0
@@ -136,16 +149,16 @@ class Trust:
             return cls("doubtful", None, FINDING, words_of(diagnosis))
         return cls(None, None, reason, says)
 
-    def with_camera(self, diagnosis: Diagnosis) -> Trust:
-        """The same, with less confidence if the fitted camera is unsure."""
-        says = next((one.says for one in diagnosis.notes if one.name == "unsure-camera"), "")
-        if not says:
+    def with_pose(self, diagnosis: Diagnosis) -> Trust:
+        """The same, with less confidence if the fitted camera or the place found is unsure."""
+        unsure = next((one for one in diagnosis.notes if one.name in UNSURE), None)
+        if unsure is None:
             return self
         confidence = self.confidence and min(self.confidence, MOST_CONFIDENCE_IF_UNSURE)
         changed = dataclasses.replace(self, verdict="doubtful", confidence=confidence)
         if self.reason == FINDING:
             return changed
-        return dataclasses.replace(changed, reason="unsure-camera", says=says)
+        return dataclasses.replace(changed, reason=unsure.name, says=unsure.says)
 
 
 def words_of(diagnosis: Diagnosis) -> str:

@@ -16,6 +16,7 @@ SUSPICIOUS_SYMPTOMS = {
 # What is worth reading before a result is used.
 NOTES = {
     "unsure-camera": "the fitted camera is unsure: {why}",
+    "unsure-place": "the place of the cloud is unsure: {why}",
     "photo": "looks like a photo, grey in many places; expected a mask, light on the object and "
     "dark around it",
     "coarse": "shows the object with only {pixels} pixels: details smaller than 1/{side} of its "

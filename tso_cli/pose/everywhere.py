@@ -118,3 +118,17 @@ def spacing(points: Array) -> float:
 
     distance, _ = cKDTree(points).query(points, 2)
     return float(np.median(distance[:, 1]))
+
+
+def same_by_symmetry(points: Array, first: Array, second: Array, spacing: float) -> bool:
+    """Whether the cloud looks the same to cameras with the rotations ``first`` and ``second``.
+
+    Rotated by the difference of the two rotations it then coincides with itself to within its
+    spacing.
+    """
+    from scipy.spatial import cKDTree
+
+    turned = points @ (first.T @ second)
+    forward, _ = cKDTree(points).query(turned)
+    backward, _ = cKDTree(turned).query(points)
+    return bool(max(np.square(forward).mean(), np.square(backward).mean()) < spacing**2)

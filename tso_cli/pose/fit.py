@@ -15,10 +15,16 @@ from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
 from .appearance import appearance, decides
-from .everywhere import Candidates, search_everywhere, spacing, spread_points
+from .everywhere import (
+    Candidates,
+    same_by_symmetry,
+    search_everywhere,
+    spacing,
+    spread_points,
+)
 from .levenberg import Freedom
 from .placement import FOCAL, SHIFT, TURN, UNKNOWNS, Placements
-from .search import EXPLAINED, Comparison
+from .search import EXPLAINED, SURE_GAP, Comparison
 
 
 class Focal:
@@ -70,10 +76,6 @@ class FittedCamera:
     alternatives: tuple[Alternative, ...]
     focal_range: tuple[float, float]
 
-    # A sure pose misses at most this share of the contour, and the best alternative misses more by
-    # at least this gap.
-    SURE_MISSED, SURE_GAP = EXPLAINED, 0.1
-
     def describe(self) -> str:
         """One line for the log."""
         toward = np.clip(-self.camera.R[2], -1.0, 1.0)
@@ -94,7 +96,7 @@ class FittedCamera:
     @property
     def sure(self) -> bool:
         """Whether the camera fits well, and no alternative fits about as well."""
-        return self.missed <= self.SURE_MISSED and self.gap >= self.SURE_GAP
+        return self.missed <= EXPLAINED and self.gap >= SURE_GAP
 
     def chosen(self, number: int) -> FittedCamera:
         """The alternative of that ``number``, as the fitted camera; 0 for this one.
@@ -128,10 +130,10 @@ class FittedCamera:
     @property
     def why_unsure(self) -> str:
         """Why the camera is not sure, if it is not."""
-        if self.missed > self.SURE_MISSED or not self.alternatives:
+        if self.missed > EXPLAINED or not self.alternatives:
             return (
                 f"the cloud misses {self.missed:.0%} of the mask's contour, "
-                f"expected at most {self.SURE_MISSED:.0%}"
+                f"expected at most {EXPLAINED:.0%}"
             )
         other = self.alternatives[0]
         return (
@@ -211,7 +213,7 @@ def fit_camera(
             decides(float(seen[0]), float(seen[i])),
         )
         for i in range(1, len(placements))
-        if not _same_by_symmetry(spread, placements.R[0], placements.R[i], gap)
+        if not same_by_symmetry(spread, placements.R[0], placements.R[i], gap)
     )
     focal_range = _focal_range(comparison, found) if FOCAL in unknowns else (1.0, 1.0)
     low, high = (float(view.camera.K[0, 0] * factor) for factor in focal_range)
@@ -251,17 +253,3 @@ def _focal_range(comparison: Comparison, found: Candidates) -> tuple[float, floa
     as_well = comparison.missed(held) <= found.missed[0] + Focal.TOLERANCE
     factors = np.append(held.focal[as_well], best.focal[0])
     return float(factors.min()), float(factors.max())
-
-
-def _same_by_symmetry(points: Array, first: Array, second: Array, spacing: float) -> bool:
-    """Whether the cloud looks the same to cameras with the rotations ``first`` and ``second``.
-
-    Rotated by the difference of the two rotations it then coincides with itself to within its
-    spacing.
-    """
-    from scipy.spatial import cKDTree
-
-    turned = points @ (first.T @ second)
-    forward, _ = cKDTree(points).query(turned)
-    backward, _ = cKDTree(turned).query(points)
-    return bool(max(np.square(forward).mean(), np.square(backward).mean()) < spacing**2)

@@ -83,12 +83,6 @@ class Freedom:
         columns = [unit[:, [one] if isinstance(one, int) else one] for one in unknowns]
         return cls(np.concatenate(columns, 1), given, np.full(UNKNOWNS, np.inf))
 
-    def covariance(self, misfit: Misfit, placement: Placements) -> Array:
-        """[8, 8] of the unknowns about one placement, after Laplace."""
-        normal = self.basis.T @ self.posterior(misfit)(placement).normal[0] @ self.basis
-        covariance: Array = self.basis @ np.linalg.pinv(normal, hermitian=True) @ self.basis.T
-        return covariance
-
     def posterior(self, misfit: Misfit) -> Misfit:
         """Minus twice the logarithm of the posterior density, if ``misfit`` is a mean of squares.
 

@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 
 from ..geometry.arrays import Array
-from ..geometry.rotations import nearest_rotation, to_vectors
+from ..geometry.rotations import angle_between, nearest_rotation, to_vectors
 from ..geometry.view import View
 from .asked import Asked, Keep, Moved
-from .everywhere import search_everywhere, spacing, spread_points
+from .everywhere import same_by_symmetry, search_everywhere, spacing, spread_points
 from .levenberg import Freedom
 from .placement import SHIFT, SIZE, TURN, UNKNOWNS, Placements
-from .search import PROMISING_UNASKED, Comparison, Found, search_from
+from .search import EXPLAINED, PROMISING_UNASKED, SURE_GAP, Comparison, Found, search_from
 from .starts import closed_iou
 
 # Standard deviations of the error of a given placement: radians, longest sides of the cloud, and
@@ -46,7 +46,9 @@ class Move:
     missed_before, missed : shares of the contours that the cloud misses.
     explains : whether the move explains why the cloud did not fit.
     alternatives : other placements that were found, if all directions were searched: what each
-        misses, and its matrix.
+        misses, and its matrix. None is a symmetry of the cloud.
+    why_unsure : why one of them may be right instead; "" if the place is sure, or if it was only
+        searched near where the cloud was given.
     """
 
     kind: Moved
@@ -57,6 +59,7 @@ class Move:
     explains: bool = False
     keep: Keep | None = None
     alternatives: tuple[tuple[float, Array], ...] = ()
+    why_unsure: str = ""
 
     @property
     def degrees(self) -> float:
@@ -111,6 +114,25 @@ def find_move(
     if asked == "auto":
         return problem.ladder(keep)
     return problem.asked(asked, keep)
+
+
+def _why_unsure(best: Move, others: Sequence[Move]) -> str:
+    """Why one of the ``others`` may be right instead; "" if the best is sure."""
+    if best.missed > EXPLAINED:
+        return (
+            f"the cloud misses {best.missed:.0%} of the contours at best, expected at most "
+            f"{EXPLAINED:.0%}"
+        )
+    for other in others:
+        if other.missed < best.missed + SURE_GAP:
+            angle = angle_between(
+                other.matrix[:3, :3] / other.size, best.matrix[:3, :3] / best.size
+            )
+            return (
+                f"turned by another {float(angle):.0f} degrees it misses {other.missed:.0%} of the "
+                f"contours, here {best.missed:.0%}"
+            )
+    return ""
 
 
 class _Placing:
@@ -194,12 +216,18 @@ class _Placing:
         candidates = search_everywhere(self.comparison, self.points, self.normalised, anywhere)
         elsewhere = Found(candidates.placements[:1], found.given, float(candidates.missed[0]))
         if overlap[0] < LEAST_OVERLAP or (elsewhere.explains and elsewhere.missed < found.missed):
+            places = candidates.placements
             others = [
-                replace(elsewhere, placement=candidates.placements[i : i + 1], missed=missed)
+                self.move(kind, replace(found, placement=places[i : i + 1], missed=missed), kept)
                 for i, missed in enumerate(candidates.missed.tolist())
+                if i and not same_by_symmetry(points, places.R[0], places.R[i], spacing(points))
             ]
-            best, *rest = (self.move(kind, one, kept) for one in others)
-            return replace(best, alternatives=tuple((one.missed, one.matrix) for one in rest))
+            best = self.move(kind, elsewhere, kept)
+            return replace(
+                best,
+                alternatives=tuple((one.missed, one.matrix) for one in others),
+                why_unsure=_why_unsure(best, others),
+            )
         return self.move(kind, found, kept)
 
     def of_cameras(self) -> Move:

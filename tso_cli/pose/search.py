@@ -43,6 +43,9 @@ FITS = 0.3
 # move, less than the second one. The first starts leave 5 % of exact validation clouds more than
 # 0.36, and 5 % of other shapes less than 0.48.
 PROMISING, PROMISING_UNASKED = 0.6, 0.45
+# Of several placements, the best is sure if it explains the misfit, and every other one misses more
+# by at least this share of the contours.
+SURE_GAP = 0.1
 # Misfits that differ by less are of the same placement.
 SAME = 0.01
 

@@ -159,7 +159,7 @@ def _ending(
         ious = [(before, before) for before, _ in of_shape]
         if move.kind != "nothing":
             ious = _ious(problem, given, start)
-        return _Ending(start, ious, trust.with_camera(diagnosis), "unchanged", kept)
+        return _Ending(start, ious, trust.with_pose(diagnosis), "unchanged", kept)
     unknown = _why_unknown(problem, optimised, settings)
     if unknown:
         trust = Trust.unknown(*unknown, diagnosis)
@@ -167,13 +167,14 @@ def _ending(
         assert weighed.field is not None
         of_problem = problem, weighed.field, optimised, of_shape
         features = features_of(*of_problem, weights.inlier, diagnosis)
-        trust = Trust.of(features, diagnosis)
+        explained = None if move.kind == "nothing" else move.explains
+        trust = Trust.of(features, diagnosis, explained)
     if settings.accept_doubtful:
         trust = replace(trust, displacement_taken=1.0)
     if trust.displacement_taken < 1.0:
         moved, of_shape = _moved(problem, trust.displacement_taken * displacements)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
-    trust = trust.with_camera(diagnosis)
+    trust = trust.with_pose(diagnosis)
     if trust.displacement_taken == 0.0:
         return _Ending(moved, ious, trust, "refused", "doubtful")
     return _Ending(moved, ious, trust, "moved")

@@ -40,7 +40,10 @@ class RefineScene:
         """The same scene with the views of ``move``, which are as they are meant."""
         if move.kind == "nothing":
             return self
-        return replace(self, read=move.views, assumptions=())
+        known = self.known
+        if move.why_unsure:
+            known += (Finding("unsure-place", values={"why": move.why_unsure}),)
+        return replace(self, read=move.views, assumptions=(), known=known)
 
 
 def as_scene(
