@@ -19,7 +19,15 @@ from .asked import Asked, Keep, Moved
 from .everywhere import same_by_symmetry, search_everywhere, spacing, spread_points
 from .levenberg import Freedom
 from .placement import SHIFT, SIZE, TURN, UNKNOWNS, Placements
-from .search import EXPLAINED, PROMISING_UNASKED, SURE_GAP, Comparison, Found, search_from
+from .search import (
+    EXPLAINED,
+    PROMISING_UNASKED,
+    SURE_GAP,
+    Comparison,
+    Found,
+    place_from,
+    search_from,
+)
 from .starts import closed_iou
 
 # Standard deviations of the error of a given placement: radians, longest sides of the cloud, and
@@ -209,7 +217,7 @@ class _Placing:
         freedom, kept = self.freedom(kind, keep)
         points = spread_points(self.points)
         overlap = closed_iou(points, freedom.given, self.comparison.targets, spacing(points))
-        found = search_from(self.comparison, freedom)
+        found = place_from(self.comparison, freedom)
         if overlap[0] >= LEAST_OVERLAP and found.fits:
             return self.move(kind, found, kept)
         anywhere = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
@@ -235,7 +243,7 @@ class _Placing:
         for view, normalised in zip(self.views, self.normalised, strict=True):
             alone = _Placing(self.body, (view,))
             freedom, _ = alone.freedom("pose", "size")
-            one = search_from(Comparison.of(self.points, [normalised]), freedom)
+            one = place_from(Comparison.of(self.points, [normalised]), freedom)
             found.append(one)
             views.append(alone.move("camera", one, "size").views[0])
         before, missed = (

@@ -39,10 +39,11 @@ EXPLAINED = 0.2
 LEFT = 0.3
 # The contours of a cloud that misses more than this do not tell where it is.
 FITS = 0.3
-# Further starts are tried where the first ones leave less than this share; where nobody asked for a
-# move, less than the second one. The first starts leave 5 % of exact validation clouds more than
-# 0.36, and 5 % of other shapes less than 0.48.
-PROMISING, PROMISING_UNASKED = 0.6, 0.45
+# Further starts are tried where the first start leaves less than the first share, and those so far
+# less than the second one. The first starts leave 5 % of exact validation clouds more than 0.36,
+# and 5 % of other shapes less than 0.48. Where nobody asked for a move, a cloud of another shape
+# should cost little.
+PROMISING, PROMISING_UNASKED = (1.0, 0.6), (0.6, 0.45)
 # Of several placements, the best is sure if it explains the misfit, and every other one misses more
 # by at least this share of the contours.
 SURE_GAP = 0.1
@@ -159,36 +160,46 @@ class Found:
         return self.missed < min(EXPLAINED, LEFT * self.given)
 
 
-def search_from(comparison: Comparison, freedom: Freedom, promising: float = PROMISING) -> Found:
-    """The best placement near the given one.
+def search_from(
+    comparison: Comparison, freedom: Freedom, promising: tuple[float, float] = PROMISING
+) -> Found:
+    """The placement near the given one that misses the least of the contours."""
+    missed_given = float(comparison.missed(freedom.given)[0])
+    best, least, enough = Found(freedom.given, missed_given, missed_given), np.inf, promising[0]
+    for starts in _stages(comparison, freedom):
+        placements, values = comparison.settled(starts, freedom)
+        first, *others = np.argsort(values)
+        rivals = np.append(values[others], least)
+        agree = bool(np.abs(rivals - values[first]).min() < SAME)
+        if values[first] < least:
+            placement, least = placements[first : first + 1], values[first]
+            best = Found(placement, missed_given, float(comparison.missed(placement)[0]))
+        if (agree and best.missed < EXPLAINED) or best.missed > enough * missed_given:
+            break
+        enough = promising[1]
+    return best
+
+
+def place_from(comparison: Comparison, freedom: Freedom) -> Found:
+    """The placement near the given one where a cloud of any shape belongs.
 
     Contours place a cloud of the right shape exactly, and one of a wrong shape anywhere. So a cloud
     that does not fit in the end stands where all cells of the masks would have it.
     """
-    given = freedom.given
-    missed_given = float(comparison.missed(given)[0])
-    by_cells, _ = improve(given, comparison.cells, freedom, STEPS)
-    best, least = Found(given, missed_given, missed_given), np.inf
-    for starts in _stages(comparison, freedom, by_cells):
-        placements, values = comparison.settled(starts, freedom)
-        first, *others = np.argsort(values)
-        agree = bool(abs(min(least, *values[others]) - values[first]) < SAME)
-        if values[first] < least:
-            placement, least = placements[first : first + 1], values[first]
-            best = Found(placement, missed_given, float(comparison.missed(placement)[0]))
-        if (agree and best.missed < EXPLAINED) or best.missed > promising * missed_given:
-            break
-    if best.fits:
-        return best
-    return Found(by_cells, missed_given, float(comparison.missed(by_cells)[0]))
+    found = search_from(comparison, freedom)
+    if found.fits:
+        return found
+    by_cells, _ = improve(freedom.given, comparison.cells, freedom, STEPS)
+    return replace(found, placement=by_cells, missed=float(comparison.missed(by_cells)[0]))
 
 
-def _stages(comparison: Comparison, freedom: Freedom, by_cells: Placements) -> Iterator[Placements]:
+def _stages(comparison: Comparison, freedom: Freedom) -> Iterator[Placements]:
     """Ever more starts: the given placement, as it approaches from afar; the same nearby."""
     given, from_afar = freedom.given, comparison.exact(FROM_AFAR)
-    by_contour, _ = improve(given, from_afar, freedom, STEPS)
+    yield improve(given, from_afar, freedom, STEPS)[0]
+    by_cells, _ = improve(given, comparison.cells, freedom, STEPS)
     of_depth = [comparison.at_depth(by_cells, freedom)] if comparison.surfaces else []
-    yield Placements.joined([given, by_cells, by_contour, *of_depth])
+    yield Placements.joined([given, by_cells, *of_depth])
     step = np.zeros((Nearby.TURNS, UNKNOWNS))
     step[:, TURN] = np.radians(Nearby.DEGREES) * lattice(Nearby.TURNS)
     turned = given[np.zeros(Nearby.TURNS, np.int64)].stepped(step)

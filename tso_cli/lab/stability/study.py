@@ -15,6 +15,7 @@ from ...errors import InputError
 from ...io.clouds import read_cloud
 from ...io.shipped import examples_folder
 from ...plots.style import INK, PALE, page
+from ...pose.asked import Asked
 from ...refinement import RefineConfig
 from ...scene.load import load_points_scene
 from .. import options
@@ -33,7 +34,9 @@ from .runs import Way, level_rows, outcomes_of, run_of
 
 # Axes that other packages, and with --quick other variants, are compared on.
 COMPARED = ("nothing wrong", "mask dilated", "yaw of the camera", "start far off")
-CORRECTED_ON = ("nothing wrong", "yaw of the camera")
+# Axes on which something moves as one, in each of these ways.
+MOVED_ON = ("nothing wrong", "yaw of the camera", "start far off")
+MOVES: tuple[Asked, ...] = ("shape", "pose", "camera")
 GROUPS = ("settings", "mask", "camera", "cloud", "image")
 # With --quick every second level, up to these, which take long by themselves.
 HIGHEST_LEVEL = {"points": 20_000, "px": 1024, "steps": 200}
@@ -141,8 +144,8 @@ def _ways(axis: Axis, quick: bool, compared: Sequence[str]) -> dict[str, Way]:
     ways: dict[str, Way] = dict(POINTS) if of_interest or plain else {DEFAULT: POINTS[DEFAULT]}
     if quick:
         ways.pop(FOUR_MASKS, None)
-    if axis.name in CORRECTED_ON:
-        ways["best, camera corrected"] = Variant(RefineConfig(move="camera"))
+    if axis.name in MOVED_ON:
+        ways |= {f"best, move {move}": Variant(RefineConfig(move=move)) for move in MOVES}
     if of_interest:
         from .peers import PEERS
 
