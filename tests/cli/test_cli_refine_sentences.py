@@ -7,6 +7,7 @@ import pytest
 from tests.scenes import example
 from tso_cli import RefineConfig, RefineResult, refine
 from tso_cli.commands.sentences import (
+    ADVICE_OF_CAMERA,
     LOOK,
     OPTIONS_OF_NOTES,
     Words,
@@ -150,8 +151,8 @@ def test_views_of_one_name_are_numbered():
 
 @pytest.mark.parametrize("name", NOTES)
 def test_a_note_names_its_view_and_the_option_that_mends_it(name):
-    numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "size"), 3.0)
-    numbers |= dict.fromkeys(("distance", "observed", "nearest", "farthest", "count"), 3.0)
+    numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "times"), 3.0)
+    numbers |= dict.fromkeys(("distance", "size", "observed", "nearest", "farthest", "count"), 3.0)
     finding = Finding(name, (1,), values={**numbers, "why": "a face is degenerate"})
     assert TWO.note(finding) == f"b.png: {finding.says}{OPTIONS_OF_NOTES.get(name, '')}"
     assert TWO.note(replace(finding, views=())) == f"{finding.says}{OPTIONS_OF_NOTES.get(name, '')}"
@@ -221,7 +222,7 @@ def kept(result: RefineResult, stop_reason: str, outcome: str = "unchanged") -> 
 @pytest.mark.parametrize(
     ("stop_reason", "why"),
     [
-        ("max_steps", "no steps were asked for"),
+        ("max_steps", "no steps of the shape were asked for"),
         ("interrupted", "interrupted at step 6, before one lowered the loss"),
         ("non_finite", "the loss was not a number after step 6, and no loss before was lower"),
         ("out_of_time", "the budget's seconds were over after 6 steps, before one agreed better"),
@@ -281,7 +282,7 @@ def test_a_refused_displacement_can_be_accepted(moved):
         (
             {},
             Trust("doubtful", 0.43, "camera", REASONS["camera"]),
-            f"the result is doubtful (confidence 0.43): {REASONS['camera']} (--move camera)",
+            f"the result is doubtful (confidence 0.43): {REASONS['camera']}{ADVICE_OF_CAMERA}",
         ),
         (
             {},
@@ -340,7 +341,7 @@ def test_a_confidence_is_rounded_down_so_that_a_half_is_not_doubtful(confidence,
 def test_every_reason_of_the_model_has_words(moved):
     for group, says in REASONS.items():
         result = changed(moved, trust=Trust("doubtful", 0.3, group, says))
-        hint = " (--move camera)" if group == "camera" else ""
+        hint = ADVICE_OF_CAMERA if group == "camera" else ""
         assert ONE.reason(result) == says + hint
 
 

@@ -43,7 +43,7 @@ def test_quiet_prints_nothing_but_errors_and_the_json_document(folder, refine):
     assert run.document["stop_reason"] == "max_steps"
     assert run.document["steps"] == 0
     assert run.document["warnings"] == [
-        "nothing moved: no steps were asked for; the cloud is as it was"
+        "nothing moved: no steps of the shape were asked for; the cloud is as it was"
     ]
     assert refine("initial.ply", "nowhere.png", "-q").refusal.startswith("tso: error: nowhere.png")
 

@@ -102,7 +102,7 @@ def test_a_hypothesis_under_which_the_mask_shows_no_object_is_not_confirmed():
 def test_a_refinement_and_a_check_find_the_same(name):
     view = changed(CHAIR.view, name)
     settings = RefineConfig().settings(1)
-    diagnosis, _ = check(as_scene(CHAIR.points, view), settings)
+    diagnosis, *_ = check(as_scene(CHAIR.points, view), settings)
     assert named(diagnosis.suspicious) == [(name, (0,))]
     assert refine(CHAIR.points, view).findings == diagnosis.findings
 

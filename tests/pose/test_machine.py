@@ -63,6 +63,44 @@ def test_the_gradient_is_half_the_slope_of_the_misfit(camera, kind):
         np.testing.assert_allclose(system.gradient[:, column], slope, rtol=0.02, atol=0.02)
 
 
+def test_a_point_at_the_camera_is_projected_from_the_nearest_depth():
+    target = Target.of(seen(_normalised(PLANE.target), CANONICAL), 64)
+    near = CANONICAL.position[None] + [[0.1, 0.05, -0.001]]
+    before = target.project(near, Placements.unmoved())
+    J = before.jacobian(np.array([0]), np.array([0]))[0]
+    step = 1e-6 * CANONICAL.R[2]
+    after = target.project(near, replace(Placements.unmoved(), t=step[None]))
+    np.testing.assert_array_equal(after.px, before.px)
+    np.testing.assert_allclose(J[:, SHIFT] @ CANONICAL.R[2], 0.0, atol=1e-9)
+
+
+def test_the_gradient_of_the_posterior_is_half_its_slope():
+    points = _normalised(PLANE.target)[:200]
+    target = Target.of(seen(points, CANONICAL), 64)
+    deviation = np.array([0.2] * 3 + [0.1] * 3 + [0.1, 0.3])
+    freedom = replace(Freedom.of(SOME[:1], TURN), deviation=deviation)
+    posterior = freedom.posterior(NearestMisfit(points, [target]))
+    at = SOME[:1].stepped(np.array([[0.1, 0.05, -0.1, 0.05, 0.02, 0.1, 0.1, 0.2]]))
+    gradient = posterior(at).gradient[0]
+    for column, step in enumerate(1e-6 * np.eye(UNKNOWNS)):
+        after, before = (posterior(at.stepped(s[None])).value[0] for s in (step, -step))
+        # The prior of a turn is linear in its vector, and the derivative is by a small turn.
+        assert gradient[column] == pytest.approx(-(after - before) / 4e-6, rel=0.03, abs=1.0)
+
+
+def test_the_edge_of_what_is_known_is_no_contour():
+    points = PLANE.target
+    left, _, right, _ = PLANE.view.box()
+    middle = int((left + right) / 2.0)
+    known = np.ones(PLANE.mask.shape, bool)
+    known[:, middle - 8 : middle + 8] = False
+    whole, ignoring = (
+        Comparison.of(points, [view]) for view in (PLANE.view, replace(PLANE.view, known=known))
+    )
+    at = Placements.unmoved()
+    assert ignoring.missed(at)[0] < whole.missed(at)[0] + 0.08
+
+
 def test_a_placement_counted_from_another_is_the_step_between_them():
     step = np.array([[0.2, -0.1, 0.3, 0.1, 0.2, -0.3, 0.1, -0.2]])
     given = SOME[:1]

@@ -191,13 +191,94 @@ def test_after_a_move_that_explains_the_misfit_the_shape_is_hardly_bent():
     [
         ({"move": "sideways"}, "move is 'sideways', expected one of auto, shape, pose"),
         ({"keep": "colour"}, "keep is 'colour', expected one of auto, size, distance"),
-        ({"only": True}, "nothing may move"),
+        ({"only": True, "move": "shape"}, "nothing may move"),
+        ({"only": True, "preset": "paper"}, "nothing may move"),
+        ({"only": True, "steps": 5}, "found 5 steps too"),
+        ({"keep": "size", "move": "camera"}, "for a cloud that moves, found move camera"),
         ({"move": "pose", "mode": "encoder"}, "expected points for move pose"),
     ],
 )
 def test_moves_that_do_not_exist_are_refused(settings, said):
     with pytest.raises(InputError, match=said):
         RefineConfig(**settings)
+
+
+def test_only_a_move_may_be_asked_for_without_saying_which():
+    assert RefineConfig(only=True).settings().steps == 0
+
+
+def test_a_cloud_that_fits_stays_though_a_move_was_asked_for():
+    result = refine(CHAIR.target, CHAIR.view, config=RefineConfig(move="pose", only=True))
+    assert result.move.kind == "nothing"
+    assert "no other place fits much better" in result.move.why_unmoved
+    np.testing.assert_array_equal(result.points, CHAIR.target)
+    assert result.trust.verdict == "unchanged"
+
+
+@pytest.mark.parametrize(
+    ("view", "wrong", "why"),
+    [
+        (replace(PLANE.view, image=np.ones((256, 256, 3))), _wrong(PLANE.target), "a photo"),
+        (PLANE.view, _wrong(PLANE.target, about("y", 40.0)), "no small turn and shift"),
+    ],
+    ids=["photo", "far off"],
+)
+def test_by_default_nothing_moves_by_a_photo_or_by_a_large_turn(view, wrong, why):
+    move = _move(wrong, view)
+    assert move.kind == "nothing"
+    assert why in move.why_unmoved
+
+
+def test_a_short_budget_leaves_no_time_for_a_move_that_nobody_asked_for():
+    wrong = _wrong(PLANE.target)
+    assert refine(wrong, PLANE.view, config=RefineConfig(budget=0.5)).move.kind == "nothing"
+    asked = RefineConfig(budget=0.5, move="pose")
+    assert refine(wrong, PLANE.view, config=asked).move.kind == "pose"
+
+
+@pytest.mark.parametrize("times", [0.01, 4.0, 300.0])
+def test_a_cloud_in_other_units_keeps_its_distance_before_one_camera(times):
+    wrong = times * _wrong(PLANE.target, about("z", 100.0))
+    move = _move(wrong, PLANE.view, asked="similarity")
+    middle = (wrong.min(0) + wrong.max(0)) / 2.0
+    before, after = (
+        PLANE.camera.R[2] @ point + PLANE.camera.t[2]
+        for point in (middle, move.apply(middle[None])[0])
+    )
+    in_front = (wrong @ PLANE.camera.R[2] + PLANE.camera.t[2]).min() > 0.0
+    assert move.keep == ("distance" if in_front else "size")
+    if in_front:
+        assert after == pytest.approx(before, rel=1e-6)
+    else:
+        assert move.size == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("times", [1e-3, 137.0, 1e3])
+def test_several_views_find_a_cloud_in_any_units(rig, times):
+    points, views = rig
+    wrong = times * _wrong(points)
+    move = _move(wrong, *views[:2], asked="similarity")
+    assert move.size * times == pytest.approx(1.0, rel=0.02)
+    assert _error(move, wrong, points) < 2.0 * chamfer(points[::2], points[1::2]).chamfer
+
+
+def test_a_turned_cloud_that_meets_a_flipped_mask_is_not_believed():
+    view = View(np.ascontiguousarray(CHAIR.mask[:, ::-1]), CHAIR.camera)
+    result = refine(CHAIR.target, view, config=RefineConfig(move="pose"))
+    assert (result.trust.verdict, result.trust.reason) == ("doubtful", "unsure-place")
+    assert "mask is flipped left to right" in result.trust.says
+
+
+def test_a_check_says_what_would_move(refine, folder):
+    write_cloud(folder / "turned.ply", _wrong(CHAIR.target))
+    run = refine("turned.ply", "mask.png", "--check", "--move", "pose")
+    assert "moves       as one: turned by" in run.out
+    assert refine("turned.ply", "mask.png", "--check", "--json").document["moved_as"] == "pose"
+
+
+def test_a_matrix_is_not_written_where_the_cloud_cannot_move(refine, folder):
+    run = refine("target.ply", "mask.png", "--move", "camera", "--write-transform", "matrix.json")
+    assert "--write-transform is for a cloud that moves as one" in run.refusal
 
 
 def test_the_command_says_what_moved_and_writes_its_matrix(refine, folder):

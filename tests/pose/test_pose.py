@@ -7,10 +7,11 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.scenes import about, block
+from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.rotations import angle_between, from_vectors, spread
 from tso_cli.io.cameras import read_camera
 from tso_cli.pose.everywhere import same_by_symmetry, spacing
-from tso_cli.pose.fit import fit_camera
+from tso_cli.pose.fit import Alternative, FittedCamera, fit_camera
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +63,26 @@ def test_a_symmetry_of_the_cloud_is_no_alternative():
     gap = spacing(cross)
     assert same_by_symmetry(cross, np.eye(3), turns[1], gap)
     assert not same_by_symmetry(cross, np.eye(3), about("y", 45.0), gap)
+    # The axis of three legs does not go through the middle of their box.
+    third = [about("y", 120.0 * thirds) for thirds in range(3)]
+    stool = np.concatenate([quarter @ turn.T for turn in third])
+    stool -= (stool.min(0) + stool.max(0)) / 2.0
+    assert same_by_symmetry(stool, np.eye(3), third[1], spacing(stool))
+    # Paint breaks a symmetry of the shape.
+    paint = np.zeros((len(cross), 3))
+    paint[: len(quarter)] = 1.0
+    assert not same_by_symmetry(cross, np.eye(3), turns[1], gap, paint)
+    assert same_by_symmetry(cross, np.eye(3), turns[1], gap, np.ones_like(paint))
+
+
+def test_an_unsure_camera_names_the_rival_that_the_photo_leaves():
+    camera = Camera.canonical(64, 64)
+    refuted = Alternative(camera, 0.9, 0.05, 180.0, unlike_photo=True)
+    others = Alternative(camera, 0.8, 0.8, 25.0), Alternative(camera, 0.85, 0.12, 40.0)
+    fitted = FittedCamera(camera, 0.9, 0.05, (refuted, *others), (50.0, 90.0))
+    assert not fitted.sure
+    assert "turned by 40 degrees" in fitted.why_unsure
+    assert fitted.chosen(3).focal_range == (camera.K[0, 0],) * 2
 
 
 def test_starting_rotations_cover_all_directions():

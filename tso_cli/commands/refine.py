@@ -98,7 +98,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--steps",
     type=options.Whole(0),
-    help="Optimiser steps; 0 writes the start.  [default: 20 for each mask, up to four masks; "
+    help="Optimiser steps; 0 leaves the shape.  [default: 20 for each mask, up to four masks; "
     "encoder modes 12, latent 30; paper 50]",
 )
 @click.option(
@@ -180,8 +180,8 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--pose-index",
     type=options.Whole(0),
-    help="With --camera fit: which of the poses that fit is used, as --json lists them; 0 is the "
-    "best.  [default: 0]",
+    help="With --camera fit: which of the poses that were found is used, as --json lists them; 0 "
+    "is the best.  [default: 0]",
 )
 @options.object_id
 @click.option("--write-camera", type=PATH, help="Write the fitted or moved cameras, .json.")

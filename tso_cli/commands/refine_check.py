@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from ..cloud.cloud import ControlledCloud
+from ..diagnosis.confidence import UNSURE
 from ..diagnosis.examine import Diagnosis, NoOverlapError
 from ..diagnosis.placement import LEAST_BOX_IOU, Placement, describe_box
 from ..geometry.arrays import Array
@@ -19,6 +20,7 @@ from ..scene.load import Scene
 from ..version import __version__
 from . import options
 from .sentences import Words
+from .sentences_of_moves import move_document, words_of_move
 
 
 def check_scene(
@@ -29,10 +31,10 @@ def check_scene(
     ``warned`` collects the warnings so far and those to come. Raises InputError where cloud and
     mask do not overlap.
     """
-    apart = None
+    apart, move = None, None
     try:
         with blas.one_thread():
-            diagnosis, cloud = check(scene.given, settings)
+            diagnosis, cloud, move = check(scene.given, settings)
     except NoOverlapError as error:
         apart, diagnosis, cloud = words.no_overlap(error), error.diagnosis, error.cloud
     for text in words.notes(diagnosis.notes):
@@ -43,15 +45,19 @@ def check_scene(
     elif suspicion:
         # The error says it too.
         warned.append(suspicion)
-    unsure = [one.says for one in diagnosis.notes if one.name == "unsure-camera"]
+    unsure = [one.says for one in diagnosis.notes if one.name in UNSURE]
     reason = suspicion or "".join(unsure)
     if as_json:
         suspects = [words.what_and_option(finding) for finding in diagnosis.suspicious]
         verdict = "doubtful" if reason else None
         trust = verdict_document(None, verdict, reason, warned, suspects)
-        options.echo_json({**_document(scene, cloud, diagnosis), **trust, "version": __version__})
+        moved = move_document(move) if move else {}
+        document = {**_document(scene, cloud, diagnosis), **moved, **trust}
+        options.echo_json({**document, "version": __version__})
     elif not quiet:
         _print(scene, cloud, diagnosis)
+        if move and (how := words_of_move(move, cloud.body.points)):
+            click.echo(f"moves       {how}; the numbers are those after it")
     if apart:
         raise apart
     return reason

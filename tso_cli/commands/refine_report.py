@@ -23,7 +23,13 @@ from . import options
 from .refine_check import camera_document, verdict_document
 from .refine_files import RefineInputs, RefineOutputs
 from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, shown, why_unmoved
-from .sentences_of_moves import alternatives_of, move_document, words_of_move, words_of_search
+from .sentences_of_moves import (
+    alternatives_of,
+    move_document,
+    start_of,
+    words_of_move,
+    words_of_search,
+)
 
 if TYPE_CHECKING:
     from ..plots.page import PageWords
@@ -49,7 +55,7 @@ CONVENTION = {
     "alternatives": "other poses that were found, best first, without those by a symmetry of the "
     "cloud; of a fitted camera their number is what --pose-index takes",
     "missed": "of the masks' contours, the share that no point of the cloud comes near: "
-    "where it was given, and after it moved as one",
+    "where it was given, and after it moved as one; null if nobody looked",
     "prior": "learned: the one that comes with the program",
     "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
     "optimisation and before `step_taken`, as a share of the object's size",
@@ -271,7 +277,7 @@ class RefineReport:
         return f"{trust.verdict}, confidence {shown(trust.confidence)}"
 
     def _moved(self) -> str:
-        as_one = words_of_move(self.result)
+        as_one = words_of_move(self.result.move, start_of(self.result))
         if why := why_unmoved(self.result):
             return f"{as_one}; its shape stays: {why}" if as_one else f"nothing: {why}"
         small = f"under {100.0 * SMALL_DISPLACEMENT:g} %"

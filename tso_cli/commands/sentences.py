@@ -35,7 +35,13 @@ VERDICTS = {
     "": "There is no confidence for this kind of run. A rising IoU proves nothing.",
 }
 # Options that mend what a note says.
-OPTIONS_OF_NOTES = {"depth-unit": " (--depth-scale)", "assumed-picture": " (--camera FILE)"}
+OPTIONS_OF_NOTES = {
+    "depth-unit": " (--depth-scale)",
+    "rescaled": " (--depth-scale)",
+    "assumed-picture": " (--camera FILE)",
+    "unsure-place": " (`alternatives` in --json has the other places)",
+}
+ADVICE_OF_CAMERA = " (--move camera, or --move pose if the cloud is turned)"
 
 
 @dataclass(frozen=True)
@@ -131,7 +137,7 @@ class Words:
         trust = result.trust
         if trust.reason == FINDING:
             return self.suspicion(self.suspicious(result.findings))
-        return trust.says + (" (--move camera)" if trust.reason == "camera" else "")
+        return trust.says + (ADVICE_OF_CAMERA if trust.reason == "camera" else "")
 
     def warnings(self, result: RefineResult) -> list[str]:
         """One sentence each, to read before the result is used."""
@@ -142,7 +148,8 @@ class Words:
             sure = ""
             if trust.confidence is not None and trust.reason != FINDING:
                 sure = f" (confidence {shown(trust.confidence)})"
-            taken = ", so the cloud is left as it was" if fit.outcome == "refused" else ""
+            what = "the cloud" if result.move.kind in ("nothing", "camera") else "its shape"
+            taken = f", so {what} is left as it was" if fit.outcome == "refused" else ""
             if 0.0 < trust.displacement_taken < 1.0:
                 share = f"{100.0 * trust.displacement_taken:.0f} %"
                 taken = f", so only {share} of the displacement is taken"
@@ -166,7 +173,7 @@ def why_unmoved(result: RefineResult) -> str | None:
     if fit.outcome == "refused":
         return "the displacement is doubtful (--accept-doubtful takes it all the same)"
     return {
-        "max_steps": "no steps were asked for",
+        "max_steps": "no steps of the shape were asked for",
         "interrupted": f"interrupted at step {fit.steps}, before one lowered the loss",
         "non_finite": f"the loss was not a number after step {fit.steps}, and no loss before was "
         "lower than the loss of the start",
@@ -184,7 +191,9 @@ def _of_course(result: RefineResult) -> str | None:
     fit, steps = result.fit, result.settings.steps
     reason = why_unmoved(result)
     if reason and result.move.kind != "nothing":
-        return None
+        if result.move.explains or result.trust.reason == "unsure-place":
+            return None
+        return f"it moved as one, which does not explain the misfit: {reason}"
     no_confidence = "" if result.trust.verdict else ": there is no confidence in the result"
     if reason and fit.outcome != "refused":
         what = "nothing to do" if fit.stop_reason == "nothing_to_do" else "nothing moved"

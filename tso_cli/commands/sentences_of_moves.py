@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..geometry.arrays import Array
 from ..pose.fit import FittedCamera
 from ..pose.move import Move
 from ..refinement import RefineResult
@@ -17,7 +18,7 @@ def move_document(move: Move) -> dict[str, Any]:
         "moved_as": move.kind,
         "transform": move.matrix.tolist(),
         "kept": move.keep,
-        "missed": [move.missed_before, move.missed],
+        "missed": None if np.isnan(move.missed) else [move.missed_before, move.missed],
     }
 
 
@@ -40,12 +41,10 @@ def alternatives_of(fitted: FittedCamera | None, move: Move) -> list[dict[str, A
     ]
 
 
-def words_of_move(result: RefineResult) -> str:
-    """How the cloud moved as one; "" where it did not."""
-    move = result.move
+def words_of_move(move: Move, start: Array) -> str:
+    """How the cloud ``start`` [N, 3] moved as one; "" where it did not."""
     if move.kind in ("nothing", "camera"):
         return ""
-    start = result.initial[~result.outliers]
     middle = (start.min(0) + start.max(0)) / 2.0
     side = np.ptp(start, axis=0).max()
     shift = np.linalg.norm(move.apply(middle[None])[0] - middle) / side
@@ -58,13 +57,19 @@ def words_of_move(result: RefineResult) -> str:
     return f"as one: {', '.join(parts)}{kept}"
 
 
+def start_of(result: RefineResult) -> Array:
+    """The initial cloud without outliers."""
+    start: Array = result.initial[~result.outliers]
+    return start
+
+
 def words_of_search(move: Move) -> str:
-    """What was found of a move, or why nothing moved."""
-    missed = f"the cloud misses {move.missed_before:.0%} of the contours as given"
+    """Whether something moved as one, and what was found."""
     if move.kind == "nothing":
-        return "nothing: no turn and shift explains what the cloud misses of the masks"
+        return f"no: {move.why_unmoved}"
+    missed = f"the cloud misses {move.missed_before:.0%} of the contours as given"
     left = f"{move.missed:.0%} after it moved as one"
-    return f"{missed}, {left}{'' if move.explains else ': it does not explain the misfit'}"
+    return f"yes: {missed}, {left}{'' if move.explains else ': it does not explain the misfit'}"
 
 
 def reading_of(result: RefineResult) -> str | None:
@@ -72,7 +77,7 @@ def reading_of(result: RefineResult) -> str | None:
     move = result.move
     if result.settings.move != "auto" or move.kind == "nothing":
         return None
-    how = words_of_move(result).removeprefix("as one: ")
+    how = words_of_move(move, start_of(result)).removeprefix("as one: ")
     return (
         f"the cloud was {how}, which explains why it did not fit; if the camera is wrong instead, "
         "use --move camera, and if neither is wrong, --move shape"

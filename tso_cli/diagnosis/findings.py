@@ -31,6 +31,7 @@ NOTES = {
     "{distance:.3g}; are both in one unit?",
     "depth-unit": "the median depth on the object is {observed:.3g}, the cloud's depths are "
     "{nearest:.3g} to {farthest:.3g}; is the scale of the depth map right?",
+    "rescaled": "the depth map asks for a cloud {times:.3g} times as large; are both in one unit?",
     "assumed-picture": "the network infers sizes from the whole picture, which without a camera "
     "file is taken for a picture of the canonical camera",
     "outliers": "points far from the rest stay where they are, and no measure counts them "

@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Pixels
 from .gltf_scene import base_colour_of
-from .paint import decoded
+from .paint import Decoder
 from .textures import Folder, Wrap
 
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
@@ -55,6 +55,7 @@ class Materials:
     ) -> None:
         self._document, self._bytes_of, self._folder = document, bytes_of, folder
         self._pictures: dict[int, Pixels] = {}
+        self._decode = Decoder()
 
     def coat(self, number: int | None) -> Coat:
         """The material ``number``; None is that of a primitive without one, which is white."""
@@ -94,8 +95,8 @@ class Materials:
         image = self._document["images"][number]
         if "bufferView" in image:
             name = str(image.get("name") or f"number {number}")
-            return decoded(self._bytes_of(image["bufferView"]), name)
+            return self._decode(self._bytes_of(image["bufferView"]), name)
         uri = image["uri"]
         if uri[:5].lower() == "data:":
-            return decoded(base64.b64decode(uri.partition(",")[2]), f"number {number}")
-        return decoded(self._folder.get(unquote(uri)), uri)
+            return self._decode(base64.b64decode(uri.partition(",")[2]), f"number {number}")
+        return self._decode(self._folder.get(unquote(uri)), uri)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array
-from .paint import Paint, decoded
+from .paint import Decoder, Paint
 from .textures import Folder, Texture
 
 
@@ -46,11 +46,11 @@ def read_paint(text: bytes, libraries: Iterable[str], folder: Folder, count: int
     of_corners, of_faces = np.array(corners).reshape(-1, 3), np.array(used, dtype=object)
     known = {name: materials.get(name, _Material()) for name in dict.fromkeys(used)}
     colours = np.array([known[name].colour for name in used]).reshape(-1, 1, 3)
-    textures = []
+    textures, decode = [], Decoder()
     for name, material in known.items():
         faces = np.flatnonzero((of_faces == name) & (of_corners > 0).all(1))
         if material.picture and len(faces):
-            pixels = decoded(folder.get(material.picture), material.picture)
+            pixels = decode(folder.get(material.picture), material.picture)
             colours[faces] = 1.0
             textures.append(Texture(pixels, faces, _at(places, of_corners[faces])))
     return Paint.of([np.repeat(colours, 3, axis=1)], textures)

@@ -20,7 +20,7 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Indices, Pixels
 from .images import as_colours
 from .reading import shown
-from .textures import TEXTURE_FORMATS, Texture
+from .textures import MOST_PIXELS, TEXTURE_FORMATS, Texture
 
 # Of a picture, px. It is shrunk to about that: a photo shows no finer paint.
 LONGEST_SIDE = 1024
@@ -55,20 +55,32 @@ class Paint:
         return np.clip(colours, 0.0, 1.0)
 
 
-def decoded(data: bytes, name: str) -> Pixels:
-    """The picture in ``data`` [H, W, 3]; InputError if it cannot be decoded."""
-    from PIL import Image
+class Decoder:
+    """Decodes the pictures of one mesh, up to `MOST_PIXELS` together."""
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of sizes, which are checked here
-            with Image.open(io.BytesIO(data), formats=TEXTURE_FORMATS) as image:
-                pixels = np.ascontiguousarray(as_colours(image, Path(name))[..., :3])
-        factor = max(1, max(pixels.shape) // LONGEST_SIDE)
-        return np.asarray(Image.fromarray(pixels).reduce(factor))
-    # Decoders fail on damaged files in many ways.
-    except Exception:
-        raise InputError(f"the texture {shown(name)} cannot be decoded") from None
+    def __init__(self) -> None:
+        self._room = MOST_PIXELS
+
+    def __call__(self, data: bytes, name: str) -> Pixels:
+        """The picture in ``data`` [H, W, 3]; InputError if it cannot be decoded."""
+        from PIL import Image
+
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of sizes, which are checked here
+                with Image.open(io.BytesIO(data), formats=TEXTURE_FORMATS) as image:
+                    self._room -= image.width * image.height
+                    if self._room < 0:
+                        raise ValueError("too many pixels")
+                    pixels = np.ascontiguousarray(as_colours(image, Path(name))[..., :3])
+            factor = max(1, max(pixels.shape) // LONGEST_SIDE)
+            return np.asarray(Image.fromarray(pixels).reduce(factor))
+        # Decoders fail on damaged files in many ways.
+        except Exception:
+            why = "cannot be decoded"
+            if self._room < 0:
+                why = f"is one too many: expected at most {MOST_PIXELS:,} pixels in all"
+            raise InputError(f"the texture {shown(name)} {why}") from None
 
 
 def refuse(name: str, why: str, kind: str = "texture") -> None:

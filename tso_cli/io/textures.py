@@ -51,7 +51,9 @@ class Texture:
         ``barycentric`` [N, 2] are the points' coordinates of the second and the third corner.
         """
         first, second, third = self.corners[rows].transpose(1, 0, 2)
-        place = first + barycentric[:, :1] * (second - first) + barycentric[:, 1:] * (third - first)
+        b, c = barycentric[:, :1], barycentric[:, 1:]
+        with np.errstate(over="ignore", invalid="ignore"):
+            place = first + b * (second - first) + c * (third - first)
         place = np.stack([_wrapped(*one) for one in zip(place.T, self.wraps, strict=True)], 1)
         sides = np.array(self.pixels.shape[1::-1])
         # A place may be 1: np.mod may round up.
@@ -66,7 +68,8 @@ class Texture:
 
 
 def _wrapped(place: Array, wrap: Wrap) -> Array:
-    """Texture coordinates [N] in 0 to 1."""
+    """Texture coordinates [N] in 0 to 1; 0 for those that are no numbers or overflowed."""
+    place = np.where(np.isfinite(place), place, 0.0)
     if wrap == "clamp":
         return np.clip(place, 0.0, 1.0)
     if wrap == "mirror":

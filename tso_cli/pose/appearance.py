@@ -100,11 +100,10 @@ def _drawn(
     seen = target.project(points, placements)
     row, column, within = target.at(seen.px)
     cell = (np.arange(count)[:, None] * side + row) * side + column
-    depth = (seen.turned + placements.t[:, None]) @ camera.R[2] + camera.t[2]
     front = np.full(count * side * side, np.inf)
-    np.minimum.at(front, cell[within], depth[within])
+    np.minimum.at(front, cell[within], seen.depth[within])
     width = 1.0 / (seen.inverse * placements.focal[:, None] * camera.K[0, 0])
-    visible = within & (depth <= front[cell] + STEEPEST * width)
+    visible = within & (seen.depth <= front[cell] + STEEPEST * width)
     cell, painted = cell[visible], np.broadcast_to(colours, (*visible.shape, 3))[visible]
     hits = np.bincount(cell, minlength=len(front))
     total = np.stack([np.bincount(cell, channel, len(front)) for channel in painted.T], -1)

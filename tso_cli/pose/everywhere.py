@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,6 +44,8 @@ FINE = _Stage(side=64, points=512, kept=16, degrees=10.0, steps=20, robust=4.0)
 APART = 20.0
 # If none of the placements fits, this number of the best is searched around.
 AROUND = 3
+# Colours in [0, 1] that differ by this on average are of another side of the object.
+REPAINTED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +100,7 @@ def _searched_around(
 ) -> Placements:
     """The best placements, searched from many starts around each, and then the rest."""
     few = min(AROUND, len(placements))
-    found = [
-        search_from(comparison, replace(freedom, given=placements[i : i + 1])) for i in range(few)
-    ]
+    found = [search_from(comparison, freedom, start=placements[i : i + 1]) for i in range(few)]
     order = np.argsort([one.missed for one in found], kind="stable")
     return Placements.joined([*(found[i].placement for i in order), placements[few:]])
 
@@ -120,15 +120,21 @@ def spacing(points: Array) -> float:
     return float(np.median(distance[:, 1]))
 
 
-def same_by_symmetry(points: Array, first: Array, second: Array, spacing: float) -> bool:
+def same_by_symmetry(
+    points: Array, first: Array, second: Array, spacing: float, colours: Array | None = None
+) -> bool:
     """Whether the cloud looks the same to cameras with the rotations ``first`` and ``second``.
 
     Rotated by the difference of the two rotations it then coincides with itself to within its
-    spacing.
+    spacing, and so do its ``colours`` [N, 3], in [0, 1].
     """
     from scipy.spatial import cKDTree
 
+    # The axis of a symmetry goes through the mean of the points.
+    points = points - points.mean(0)
     turned = points @ (first.T @ second)
-    forward, _ = cKDTree(points).query(turned)
+    forward, nearest = cKDTree(points).query(turned)
     backward, _ = cKDTree(turned).query(points)
+    if colours is not None and np.abs(colours[nearest] - colours).mean() > REPAINTED:
+        return False
     return bool(max(np.square(forward).mean(), np.square(backward).mean()) < spacing**2)

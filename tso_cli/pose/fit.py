@@ -106,9 +106,10 @@ class FittedCamera:
         if number == 0:
             return self
         if number > len(self.alternatives):
+            count = len(self.alternatives)
             raise InputError(
-                f"pose {number} was asked for, expected 0 to {len(self.alternatives)}, as no other "
-                "poses were found"
+                f"pose {number} was asked for, expected at most {count}: 1 + {count} poses were "
+                "found"
             )
         one = self.alternatives[number - 1]
         own = Alternative(self.camera, self.iou, self.missed, 0.0)
@@ -118,7 +119,12 @@ class FittedCamera:
             if other is not one
         ]
         return replace(
-            self, camera=one.camera, iou=one.iou, missed=one.missed, alternatives=tuple(turned)
+            self,
+            camera=one.camera,
+            iou=one.iou,
+            missed=one.missed,
+            alternatives=tuple(turned),
+            focal_range=(float(one.camera.K[0, 0]),) * 2,
         )
 
     @property
@@ -130,12 +136,13 @@ class FittedCamera:
     @property
     def why_unsure(self) -> str:
         """Why the camera is not sure, if it is not."""
-        if self.missed > EXPLAINED or not self.alternatives:
+        if self.missed > EXPLAINED:
             return (
                 f"the cloud misses {self.missed:.0%} of the mask's contour, "
                 f"expected at most {EXPLAINED:.0%}"
             )
-        other = self.alternatives[0]
+        rivals = [one for one in self.alternatives if not one.unlike_photo]
+        other = min(rivals, key=lambda one: one.missed)
         return (
             f"a camera turned by {other.degrees:.0f} degrees fits about as well "
             f"(IoU {other.iou:.2f}, its own {self.iou:.2f})"
@@ -189,7 +196,8 @@ def fit_camera(
         shown, Camera(np.asarray(K, np.float64), np.eye(3), np.zeros(3), width, height), known, name
     )
     deviations = np.full(UNKNOWNS, np.inf)
-    deviations[FOCAL] = deviation or Focal.DEVIATION
+    if FOCAL in unknowns:
+        deviations[FOCAL] = Focal.DEVIATION if deviation is None else deviation
     freedom = replace(Freedom.of(Placements.unmoved(), *unknowns), deviation=deviations)
     comparison = Comparison.of(local, [view])
     found = search_everywhere(comparison, local, [view], freedom)
@@ -200,6 +208,7 @@ def fit_camera(
         found, seen = _by_photo(found, seen)
     placements, spread = found.placements, spread_points(local)
     gap = spacing(spread)
+    painted = None if colours is None else _nearest(spread, local, np.asarray(colours))
     degrees = angle_between(placements.R, placements.R[0])
     cameras = [
         _camera(view.camera, placements[i : i + 1], centre, unit) for i in range(len(placements))
@@ -213,13 +222,21 @@ def fit_camera(
             decides(float(seen[0]), float(seen[i])),
         )
         for i in range(1, len(placements))
-        if not same_by_symmetry(spread, placements.R[0], placements.R[i], gap)
+        if not same_by_symmetry(spread, placements.R[0], placements.R[i], gap, painted)
     )
     focal_range = _focal_range(comparison, found) if FOCAL in unknowns else (1.0, 1.0)
     low, high = (float(view.camera.K[0, 0] * factor) for factor in focal_range)
     return FittedCamera(
         cameras[0], float(found.iou[0]), float(found.missed[0]), alternatives, (low, high)
     )
+
+
+def _nearest(points: Array, of: Array, values: Array) -> Array:
+    """The values of those ``of`` the points [N, 3] that are nearest to ``points``."""
+    from scipy.spatial import cKDTree
+
+    nearest: Array = values[cKDTree(of).query(points)[1]]
+    return nearest
 
 
 def _by_photo(found: Candidates, seen: Array) -> tuple[Candidates, Array]:

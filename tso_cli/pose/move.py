@@ -28,15 +28,20 @@ from .search import (
     place_from,
     search_from,
 )
-from .starts import closed_iou
+from .starts import closed_iou, size_of_object
 
 # Standard deviations of the error of a given placement: radians, longest sides of the cloud, and
 # the logarithm of its size.
 GIVEN_ERROR = np.array([np.radians(12.0)] * 3 + [0.12] * 3 + [0.12, np.inf])
+# Views that a place is searched with, at most; more hardly make it more exact.
+MOST_VIEWS = 12
 # The default does not move a cloud by more of them: that is a mistake of another kind.
 MOST_DEVIATIONS = 2.5
 # A cloud whose silhouette overlaps with the masks by less is searched in all directions.
 LEAST_OVERLAP = 0.1
+# So is a cloud that is this many times as large or as small as what several masks show. From its
+# narrow side an object is up to three times as small as its longest side.
+OTHER_UNITS = 5.0
 # A move with fewer unknowns is enough if it misses no larger share of the contours than this beyond
 # what the move with more unknowns misses. On validation clouds of a wrong shape in the right place,
 # a free distance did the harm.
@@ -51,23 +56,29 @@ class Move:
         its distance; None where both are found.
     views : the views as the cloud sees them where it was given. matrix : [4, 4], takes the cloud as
         it was given to where it belongs, in its units; the identity if cameras moved.
-    missed_before, missed : shares of the contours that the cloud misses.
+    missed_before, missed : shares of the contours that the cloud misses; NaN if nobody looked.
     explains : whether the move explains why the cloud did not fit.
     alternatives : other placements that were found, if all directions were searched: what each
         misses, and its matrix. None is a symmetry of the cloud.
     why_unsure : why one of them may be right instead; "" if the place is sure, or if it was only
-        searched near where the cloud was given.
+        searched near where the cloud was given. why_unmoved : why nothing moved; "" else.
     """
 
     kind: Moved
     views: tuple[View, ...]
     matrix: Array
-    missed_before: float = 0.0
-    missed: float = 0.0
+    missed_before: float = np.nan
+    missed: float = np.nan
     explains: bool = False
     keep: Keep | None = None
     alternatives: tuple[tuple[float, Array], ...] = ()
     why_unsure: str = ""
+    why_unmoved: str = ""
+
+    @property
+    def is_far(self) -> bool:
+        """Whether the cloud is turned by more than the default would turn it."""
+        return self.degrees > np.degrees(MOST_DEVIATIONS * GIVEN_ERROR[0])
 
     @property
     def degrees(self) -> float:
@@ -86,9 +97,9 @@ class Move:
         return points @ self.matrix[:3, :3].T + self.matrix[:3, 3]
 
 
-def unmoved(views: Sequence[View]) -> Move:
+def unmoved(views: Sequence[View], why: str = "", missed: float = np.nan) -> Move:
     """Nothing moves."""
-    return Move("nothing", tuple(views), np.eye(4))
+    return Move("nothing", tuple(views), np.eye(4), missed, missed, why_unmoved=why)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,13 +155,18 @@ def _why_unsure(best: Move, others: Sequence[Move]) -> str:
 
 
 class _Placing:
-    """A cloud and its views in the units of the cloud."""
+    """A cloud and some of its views in the units of the cloud."""
 
-    def __init__(self, body: Body, views: tuple[View, ...]) -> None:
+    def __init__(self, body: Body, views: tuple[View, ...], unit: float | None = None) -> None:
+        """``unit`` : length in the world of the cameras that stands for 1; the cloud's longest side
+        by default.
+        """
         self.body, self.views = body, views
+        self.unit = body.scale if unit is None else unit
         self.points = (body.points - body.centre) / body.scale
-        to_file = np.eye(3), body.centre, body.scale
-        self.normalised = tuple(view.before_placed(*to_file) for view in views)
+        to_file = np.eye(3), body.centre, self.unit
+        some = views[:: -(-len(views) // MOST_VIEWS)]
+        self.normalised = tuple(view.before_placed(*to_file) for view in some)
 
     @cached_property
     def comparison(self) -> Comparison:
@@ -186,9 +202,12 @@ class _Placing:
 
     def ladder(self, keep: Keep) -> Move:
         """The fewest unknowns that explain the misfit."""
-        unclear = any(view.truncated or view.image is not None for view in self.views)
-        if unclear or self.comparison.fits(Placements.unmoved()):
-            return unmoved(self.views)
+        if any(view.truncated for view in self.views):
+            return unmoved(self.views, "a picture cuts off the object")
+        if any(view.image is not None for view in self.views):
+            return unmoved(self.views, "a photo may contradict the contours")
+        if self.comparison.fits(Placements.unmoved()):
+            return unmoved(self.views, "the cloud fits the contours where it is")
         rungs: list[tuple[Moved, Keep]] = [("pose", "size"), ("pose", "distance"), ("shift", keep)]
         if self.both_found:
             rungs = [("similarity", keep), ("pose", keep), ("shift", keep)]
@@ -200,7 +219,8 @@ class _Placing:
             freedom, kept = self.freedom(kind, kept_here)
             found = search_from(self.comparison, freedom, PROMISING_UNASKED)
             if not moves and not self.is_plausible(found):
-                return unmoved(self.views)
+                why = "no small turn and shift explains what the cloud misses of the contours"
+                return unmoved(self.views, why, found.given)
             moves.append(self.move(kind, found, kept))
         enough = moves[0].missed + BRINGS_LITTLE
         return next(move for move in reversed(moves) if move.missed <= enough)
@@ -214,36 +234,81 @@ class _Placing:
         return found.explains and bool(np.abs(change).max() <= MOST_DEVIATIONS)
 
     def asked(self, kind: Moved, keep: Keep) -> Move:
+        """Near where the cloud was given, or anywhere if it does not fit there."""
+        if kind == "similarity" and len(self.views) > 1:
+            times = size_of_object(self.comparison.targets)
+            if abs(np.log(times)) > np.log(OTHER_UNITS):
+                in_units = _Placing(self.body, self.views, self.unit * times)
+                return in_units.anywhere(*in_units.freedom(kind, keep), kind)
         freedom, kept = self.freedom(kind, keep)
+        if not self.in_front:
+            return self.anywhere(freedom, kept, kind)
+        near = place_from(self.comparison, freedom)
+        if near.placement is freedom.given and freedom.given.size[0] == 1.0:
+            return unmoved(self.views, "no other place fits much better", near.given)
+        move = self.move(kind, near, kept)
+        if near.fits:
+            return move
+        elsewhere = self.anywhere(freedom, kept, kind)
+        better = elsewhere.explains and elsewhere.missed < move.missed
+        return elsewhere if better or not self.meets_masks else move
+
+    @cached_property
+    def in_front(self) -> bool:
+        """Whether the whole cloud was given in front of the cameras."""
+        given, targets = Placements.unmoved(), self.comparison.targets
+        depths = [target.project(self.points, given).depth for target in targets]
+        pairs = zip(targets, depths, strict=True)
+        return all(one.camera.model != "perspective" or depth.min() > 0.0 for one, depth in pairs)
+
+    @property
+    def meets_masks(self) -> bool:
+        """Whether the cloud says something about its place where it was given."""
+        points, given = spread_points(self.points), Placements.unmoved()
+        overlap = closed_iou(points, given, self.comparison.targets, spacing(points))
+        return bool(overlap[0] >= LEAST_OVERLAP)
+
+    def anywhere(self, freedom: Freedom, kept: Keep | None, kind: Moved) -> Move:
+        """The best of all directions, and the others that are no symmetry of the cloud."""
+        if kind == "pose" and kept == "distance":
+            # Neither size nor distance could change: in another direction it would not fit.
+            freedom, kept = self.freedom(kind, "size")
+        given = float(self.comparison.missed(freedom.given)[0])
+        free = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
+        found = search_everywhere(self.comparison, self.points, self.normalised, free)
+        placements = found.placements
+        if kept is not None and kind == "similarity":
+            placements, kept = self.as_kept(placements, kept)
         points = spread_points(self.points)
-        overlap = closed_iou(points, freedom.given, self.comparison.targets, spacing(points))
-        found = place_from(self.comparison, freedom)
-        if overlap[0] >= LEAST_OVERLAP and found.fits:
-            return self.move(kind, found, kept)
-        anywhere = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
-        candidates = search_everywhere(self.comparison, self.points, self.normalised, anywhere)
-        elsewhere = Found(candidates.placements[:1], found.given, float(candidates.missed[0]))
-        if overlap[0] < LEAST_OVERLAP or (elsewhere.explains and elsewhere.missed < found.missed):
-            places = candidates.placements
-            others = [
-                self.move(kind, replace(found, placement=places[i : i + 1], missed=missed), kept)
-                for i, missed in enumerate(candidates.missed.tolist())
-                if i and not same_by_symmetry(points, places.R[0], places.R[i], spacing(points))
-            ]
-            best = self.move(kind, elsewhere, kept)
-            return replace(
-                best,
-                alternatives=tuple((one.missed, one.matrix) for one in others),
-                why_unsure=_why_unsure(best, others),
-            )
-        return self.move(kind, found, kept)
+        best, *others = (
+            self.move(kind, Found(placements[i : i + 1], given, missed), kept)
+            for i, missed in enumerate(found.missed.tolist())
+            if not i
+            or not same_by_symmetry(points, placements.R[0], placements.R[i], spacing(points))
+        )
+        alternatives = tuple((one.missed, one.matrix) for one in others)
+        return replace(best, alternatives=alternatives, why_unsure=_why_unsure(best, others))
+
+    def as_kept(self, placements: Placements, kept: Keep) -> tuple[Placements, Keep]:
+        """The placements, scaled about the one camera so that the distance or the size stays.
+
+        The size stays also if a part of the cloud was given behind the camera.
+        """
+        camera = self.normalised[0].camera
+        if camera.model == "orthographic":
+            return placements, kept
+        if kept == "distance" and self.in_front:
+            factor = camera.t[2] / (placements.t @ camera.R[2] + camera.t[2])
+        else:
+            kept, factor = "size", 1.0 / placements.size
+        return placements.scaled_about(camera.position, factor), kept
 
     def of_cameras(self) -> Move:
         views, found = [], []
-        for view, normalised in zip(self.views, self.normalised, strict=True):
+        for view in self.views:
             alone = _Placing(self.body, (view,))
             freedom, _ = alone.freedom("pose", "size")
-            one = place_from(Comparison.of(self.points, [normalised]), freedom)
+            one = place_from(alone.comparison, freedom)
             found.append(one)
             views.append(alone.move("camera", one, "size").views[0])
         before, missed = (
@@ -253,10 +318,10 @@ class _Placing:
         return Move("camera", tuple(views), np.eye(4), before, missed, explains)
 
     def move(self, kind: Moved, found: Found, kept: Keep | None) -> Move:
-        one, scale, centre = found.placement, self.body.scale, self.body.centre
+        one, centre = found.placement, self.body.centre
         # The product of many small rotations is a rotation only up to rounding.
-        R, size = nearest_rotation(one.R[0]), float(one.size[0])
-        t = centre + scale * one.t[0] - size * R @ centre
+        R, size = nearest_rotation(one.R[0]), float(one.size[0]) * self.unit / self.body.scale
+        t = centre + self.unit * one.t[0] - size * R @ centre
         matrix = np.eye(4)
         if kind != "camera":
             matrix[:3, :3], matrix[:3, 3] = size * R, t

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,11 @@ class Placements:
             self.size * np.exp(step[:, SIZE]),
             self.focal * np.exp(step[:, FOCAL]),
         )
+
+    def scaled_about(self, position: Array, factor: Array) -> Placements:
+        """The placements, scaled about ``position`` [3] by ``factor`` [P]."""
+        t = position + factor[:, None] * (self.t - position)
+        return replace(self, t=t, size=factor * self.size)
 
     def since(self, given: Placements) -> Array:
         """[P, 8], the unknowns of each placement, counted from the one placement ``given``."""

@@ -61,8 +61,8 @@ def _ray(target: Target) -> tuple[Array, Array]:
     return camera.position, camera.R.T @ np.append(plane, 1.0)
 
 
-def _before_cameras(R: Array, targets: Sequence[Target], freedom: Freedom) -> Placements:
-    """The cloud in rotations ``R`` where the rays through the middles of the masks meet."""
+def _meeting_point(targets: Sequence[Target]) -> Array:
+    """Where the rays through the middles of the masks meet [3]."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
     for target in targets:
         begin, ray = _ray(target)
@@ -72,16 +72,32 @@ def _before_cameras(R: Array, targets: Sequence[Target], freedom: Freedom) -> Pl
     # Along a single ray the cloud stands where its size fits.
     begin, ray = _ray(targets[0])
     fitting = begin + ray * targets[0].camera.K[0, 0] / _box(targets[0])[1]
-    t = np.linalg.solve(normal + SINGLE_RAY * np.eye(3), right + SINGLE_RAY * fitting)
-    size = np.ones(len(R))
-    if freedom.basis[SIZE].any():
-        seen = Placements(np.eye(3)[None], t[None], np.ones(1), np.ones(1))
-        logs = [
-            np.log(_box(one)[1] / (one.camera.K[0, 0] * one.project(CENTRE, seen).inverse[0, 0]))
-            for one in targets
-        ]
-        size = np.full(len(R), np.exp(np.mean(logs)))
-    return Placements(R, np.tile(t, (len(R), 1)), size, np.ones(len(R)))
+    point: Array = np.linalg.solve(normal + SINGLE_RAY * np.eye(3), right + SINGLE_RAY * fitting)
+    return point
+
+
+def size_of_object(targets: Sequence[Target], at: Array | None = None) -> float:
+    """About the longest side of the object that stands ``at`` a point, where the rays meet; 1 if it
+    is behind a camera.
+    """
+    at = _meeting_point(targets) if at is None else at
+    logs = []
+    for target in targets:
+        camera, depth = target.camera, 1.0
+        if camera.model == "perspective":
+            depth = float(camera.R[2] @ at + camera.t[2])
+        if depth <= 0.0:
+            return 1.0
+        logs.append(np.log(_box(target)[1] * depth / camera.K[0, 0]))
+    return float(np.exp(np.mean(logs)))
+
+
+def _before_cameras(R: Array, targets: Sequence[Target], freedom: Freedom) -> Placements:
+    """The cloud in rotations ``R`` where the rays through the middles of the masks meet."""
+    t = _meeting_point(targets)
+    size = size_of_object(targets, t) if freedom.basis[SIZE].any() else 1.0
+    count = len(R)
+    return Placements(R, np.tile(t, (count, 1)), np.full(count, size), np.ones(count))
 
 
 def _with_boxes(

@@ -15,7 +15,8 @@ from .placement import FOCAL, SHIFT, SIZE, UNKNOWNS, Placements
 
 # Side of the square in longer sides of the mask's box, so that a cloud next to the mask is seen.
 MARGIN = 1.3
-# A point nearer to the camera than this, in longest sides of the cloud, is projected from there.
+# A point nearer to the camera than this, in longest sides of the placed cloud, is projected from
+# there.
 NEAREST = 0.02
 
 
@@ -50,7 +51,9 @@ class Projected:
         by_camera = np.zeros((*inverse.shape, 2, 3))
         by_camera[..., :2] = self.camera.K[:2, :2] * (self.focal[rows] * inverse)[..., None, None]
         if self.camera.model == "perspective":
-            by_camera[..., 2] = -offset * inverse[..., None]
+            # A point at the nearest depth is projected from there, however near it is.
+            beyond = self.depth[rows, points] * inverse > 1.0 - 1e-12
+            by_camera[..., 2] = -offset * (inverse * beyond)[..., None]
         along = offset
         if normals is not None:
             by_camera = (normals[..., None, :] @ by_camera)[..., 0, :]
@@ -137,7 +140,8 @@ class Target:
         in_camera = placed @ self.camera.R.T + self.camera.t
         inverse = np.ones(in_camera.shape[:2])
         if self.camera.model == "perspective":
-            inverse = 1.0 / np.maximum(in_camera[..., 2], NEAREST)
+            nearest = NEAREST * placements.size[:, None]
+            inverse = 1.0 / np.maximum(in_camera[..., 2], nearest)
         depth = in_camera[..., 2]
         plane = in_camera[..., :2] * inverse[..., None] * placements.focal[:, None, None]
         offset = plane @ self.camera.K[:2, :2].T

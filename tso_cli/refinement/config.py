@@ -109,10 +109,17 @@ class RefineConfig:
                 f"mode is {self.mode!r}, expected points for move {self.move}: the other modes "
                 "place their cloud themselves"
             )
-        if self.only and not moves:
+        smooth = self.preset == "best" and self.mode == "points"
+        if self.only and (self.move == "shape" or not (moves or smooth)):
             raise InputError(
                 "only the move is to be done and nothing may move, expected move pose, similarity, "
                 "camera or auto"
+            )
+        if self.only and self.steps:
+            raise InputError(f"only the move is to be done, found {self.steps} steps too")
+        if self.keep != "auto" and self.move in ("shape", "camera"):
+            raise InputError(
+                f"keep is {self.keep!r}, which is for a cloud that moves, found move {self.move}"
             )
         self._require_whole("steps", 0, None)
         self._require_whole("points", FEWEST_CONTROL_POINTS, CANDIDATES)

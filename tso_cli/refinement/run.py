@@ -6,22 +6,25 @@ from dataclasses import replace
 from functools import partial
 
 from ..cloud.cloud import ControlledCloud
-from ..diagnosis.examine import Diagnosis, examine
+from ..diagnosis.examine import Diagnosis, NoOverlapError, examine
+from ..diagnosis.hypotheses import HYPOTHESES
 from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypothesis, verify_plane
 from ..geometry.arrays import Array
 from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import WeighedProblem, optimise, weigh
-from ..optimisation.presets import SHORT_SECONDS
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
-from ..pose.move import find_move, unmoved
+from ..pose.move import Move, find_move, unmoved
 from ..prior import named_prior
 from .clock import Clock
 from .judge import judge
 from .result import RefineResult
 from .scene import RefineScene
+
+# A view: with less, the default does not look for a move. One that is found takes half of it.
+SECONDS_OF_A_MOVE = 1.0
 
 
 def run(
@@ -39,13 +42,7 @@ def run(
     with clock.phase("prepare"):
         prior = named_prior(settings.prior)
         cloud = scene.cloud.controlled(settings.points, scene.views)
-    asked = settings.move
-    if asked == "auto" and settings.seconds < SHORT_SECONDS * len(scene.views):
-        asked = "shape"  # there is no time to look for a move that was not asked for
-    move = unmoved(scene.views)
-    if asked != "shape":
-        find = partial(find_move, cloud.body, scene.views, asked, settings.keep)
-        move = clock.attempt("place", find, move)
+    move = _move(scene, cloud, settings, clock)
     given, scene = scene.views, scene.after(move)
     with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)
@@ -68,18 +65,43 @@ def run(
         return judge(*of_run, settings, clock.seconds)
 
 
-def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, ControlledCloud]:
-    """What `run` finds before it moves anything; raises InputError as it does."""
+def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, ControlledCloud, Move]:
+    """What `run` finds before the shape is refined; raises InputError as it does."""
     clock = Clock()
     named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
+    move = _move(scene, cloud, settings, clock)
+    scene = scene.after(move)
     diagnosis = _examined(scene, cloud, settings)
     if diagnosis.weak:
         problem = prepare(cloud, scene.views, settings)
         diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
-    return diagnosis, cloud
+    return diagnosis, cloud, move
+
+
+def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock) -> Move:
+    """What moves as one first."""
+    asked = settings.move
+    if asked == "auto" and settings.seconds < SECONDS_OF_A_MOVE * len(scene.views):
+        return unmoved(scene.views, "the budget leaves no time to look")
+    if asked == "shape":
+        return unmoved(scene.views, "the shape alone was asked for")
+    find = partial(find_move, cloud.body, scene.views, asked, settings.keep)
+    move = clock.attempt("place", find, unmoved(scene.views, "interrupted"))
+    if not move.is_far or move.why_unsure:
+        return move
+    # A mask that is flipped or upside down is met by a cloud that is turned the wrong way.
+    try:
+        with clock.phase("place"):
+            suspicious = _examined(scene, cloud, settings).suspicious
+    except NoOverlapError as error:
+        suspicious = error.diagnosis.suspicious
+    for one in suspicious:
+        if one.name in HYPOTHESES and HYPOTHESES[one.name].mask:
+            return replace(move, why_unsure=f"perhaps {one.says} instead ({one.name})")
+    return move
 
 
 def _in_unit_of(cloud: ControlledCloud, on_progress: Progress) -> Progress:

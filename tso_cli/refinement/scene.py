@@ -18,6 +18,9 @@ from ..geometry.camera import Camera
 from ..geometry.view import View
 from ..pose.move import Move
 
+# A cloud that a depth map makes this many times as large, or as small, is worth a warning.
+RESCALED = 3.0
+
 
 @dataclass(frozen=True, eq=False)
 class RefineScene:
@@ -41,6 +44,9 @@ class RefineScene:
         if move.kind == "nothing":
             return self
         known = self.known
+        times = move.size
+        if any(view.depth is not None for view in self.read) and max(times, 1.0 / times) > RESCALED:
+            known += (Finding("rescaled", values={"times": times}),)
         if move.why_unsure:
             known += (Finding("unsure-place", values={"why": move.why_unsure}),)
         return replace(self, read=move.views, assumptions=(), known=known)
