@@ -122,7 +122,7 @@ class Contour:
     def of(cls, target: Target) -> Contour:
         smooth = _blurred(target.mask, cls.BLUR)
         if not target.known.all():
-            # The means are over what is known.
+            # Means over what is known: the object does not end where the knowledge ends.
             share = _blurred(np.float64(target.known), cls.BLUR)
             smooth = _blurred(target.mask * target.known, cls.BLUR) / np.maximum(share, 1e-9)
         down, right = (np.gradient(smooth, axis=axis) for axis in (0, 1))
@@ -137,9 +137,7 @@ class Contour:
             samples.append(place[:, ::-1] if turned else place)
         where = np.concatenate(samples)
         row, column, _ = target.at(where)
-        # Next to what is unknown, the object ends where the knowledge ends.
-        windows = np.lib.stride_tricks.sliding_window_view(np.pad(target.known, 1), (3, 3))
-        known = np.asarray(windows.all((2, 3)))[row, column]
+        known = target.known[row, column]
         where, row, column = where[known], row[known], column[known]
         if not len(where):
             # Nothing is known of the contour: a single piece that no point is near.
