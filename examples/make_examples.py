@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from tso_cli.errors import InputError, TsoError
+from tso_cli.geometry.rotations import from_vectors
 from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import write_cloud
 from tso_cli.io.images import write_image
@@ -36,6 +37,9 @@ from tso_cli.render import (
 SIZE = (256, 256)
 # A photo in which the chair is small: its size, focal length and principal point, px.
 PHOTO, FOCAL, MIDDLE = (1280, 960), 210.0, (923.5, 567.5)
+
+# A cloud in a wrong place: rotation vector in degrees, and shift in longest sides.
+TURN, SHIFT = (5.0, 6.0, -4.0), (0.05, -0.03, 0.02)
 
 # Category: target, initial (the other shape), azimuth and elevation of the picture in degrees.
 EXAMPLES = {
@@ -99,6 +103,14 @@ def make_example(
         rng = np.random.default_rng(zlib.crc32(f"{folder.name}/{name}".encode()))
         _, points = ground_truth(mesh, RenderSettings(), rng)
         write_cloud(folder / f"{name}.ply", points.astype(np.float32), overwrite=True)
+
+
+def make_misplaced(path: Path, target: Mesh) -> None:
+    """Write other points of the true shape, in a wrong place."""
+    rng = np.random.default_rng(zlib.crc32(b"misplaced"))
+    _, points = ground_truth(normalise(target), RenderSettings(), rng)
+    points = points @ from_vectors(np.radians(TURN)).T + SHIFT
+    write_cloud(path, points.astype(np.float32), overwrite=True)
 
 
 def make_photo(folder: Path, target: Mesh, azimuth: float, elevation: float) -> None:
@@ -172,6 +184,8 @@ def make(meshes: Path, output: Path) -> None:
             folder.mkdir(parents=True, exist_ok=True)
             make_photo(folder, target_mesh, azimuth, elevation)
             shipped.append(("photo/mask.png", target_row))
+            make_misplaced(output / category / "misplaced.ply", target_mesh)
+            shipped.append((f"{category}/misplaced.ply", target_row))
     for category, names in TRAINING.items():
         folder = output / "meshes" / category
         folder.mkdir(parents=True, exist_ok=True)

@@ -208,14 +208,16 @@ class _Placing:
             return unmoved(self.views, "a photo may contradict the contours")
         if self.comparison.fits(Placements.unmoved()):
             return unmoved(self.views, "the cloud fits the contours where it is")
-        rungs: list[tuple[Moved, Keep]] = [("pose", "size"), ("pose", "distance"), ("shift", keep)]
-        if self.both_found:
-            rungs = [("similarity", keep), ("pose", keep), ("shift", keep)]
+        # Of size and distance, the distance stays: it is longer than the object, so that a wrong
+        # distance is a larger error than a wrong size.
+        rungs: list[tuple[Moved, Keep]] = [("similarity", keep), ("pose", keep), ("shift", keep)]
+        if not self.both_found and keep == "size":
+            rungs = rungs[1:]
+        elif not self.both_found:
+            rungs = [(kind, "distance") for kind, _ in rungs]
         # From many unknowns to few: a cloud that no move explains costs one search.
         moves: list[Move] = []
         for kind, kept_here in rungs:
-            if keep not in ("auto", kept_here):
-                continue
             freedom, kept = self.freedom(kind, kept_here)
             found = search_from(self.comparison, freedom, PROMISING_UNASKED)
             if not moves and not self.is_plausible(found):
