@@ -10,7 +10,7 @@ from tests.readme import DOCS, PAGES, README, ROOT
 
 WRITTEN = (*PAGES, ROOT / "CHANGELOG.md", ROOT / "examples" / "README.md")
 # What a newcomer reads before the first result of their own.
-NEWCOMERS_WORDS = 2650
+NEWCOMERS_WORDS = 2750
 LONGEST_SENTENCE = 35
 LONGEST_LINE = 120
 # Words of our own making, and constructions that need a second reading.
