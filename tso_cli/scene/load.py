@@ -93,8 +93,10 @@ def load_points_scene(
     file = read_cloud(cloud_file)
     if file.source is not None:
         file.source.require_movable()
-    colours = file.colours() if files.image else None
-    paint = file.paint() if files.image else None
+    # A camera that is to be fitted needs colours too: they break the symmetries of a shape.
+    wanted = bool(files.image) or fit is not None
+    colours = file.colours() if wanted else None
+    paint = file.paint() if wanted else None
     cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), False, file.faint(), paint)
     if not files.image or colours is not None or cloud.paint is not None:
         return _scene_of(cloud, file, files, assumptions, fit)
