@@ -1,4 +1,4 @@
-"""A cloud or its cameras, moved as one before the shape is refined, as little as is needed.
+"""What moved as one before the shape is refined, a cloud or its cameras.
 
 What one camera sees of a cloud that turned is what a camera that turned the other way sees of the
 cloud as it was. So a `Move` has cameras as the cloud at rest sees them, whichever of the two moves.
@@ -7,45 +7,17 @@ cloud as it was. So a `Move` has cameras as the cloud at rest sees them, whichev
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..geometry.arrays import Array
-from ..geometry.rotations import angle_between, nearest_rotation, to_vectors
+from ..geometry.rotations import to_vectors
 from ..geometry.view import View
-from .asked import Asked, Keep, Moved
-from .everywhere import same_by_symmetry, search_everywhere, spacing, spread_points
-from .levenberg import Freedom
-from .placement import SHIFT, SIZE, TURN, UNKNOWNS, Placements
-from .search import (
-    EXPLAINED,
-    PROMISING_UNASKED,
-    SURE_GAP,
-    Comparison,
-    Found,
-    place_from,
-    search_from,
-)
-from .starts import closed_iou, size_of_object
+from .asked import Keep, Moved
 
-# Standard deviations of the error of a given placement: radians, longest sides of the cloud, and
-# the logarithm of its size.
-GIVEN_ERROR = np.array([np.radians(12.0)] * 3 + [0.12] * 3 + [0.12, np.inf])
-# Views that a place is searched with, at most; more hardly make it more exact.
-MOST_VIEWS = 12
-# The default does not move a cloud by more of them: that is a mistake of another kind.
-MOST_DEVIATIONS = 2.5
-# A cloud whose silhouette overlaps with the masks by less is searched in all directions.
-LEAST_OVERLAP = 0.1
-# So is a cloud that is this many times as large or as small as what several masks show. From its
-# narrow side an object is up to three times as small as its longest side.
-OTHER_UNITS = 5.0
-# A move with fewer unknowns is enough if it misses no larger share of the contours than this beyond
-# what the move with more unknowns misses. On validation clouds of a wrong shape in the right place,
-# a free distance did the harm.
-BRINGS_LITTLE = 0.1
+# The default does not turn a cloud further: that is a mistake of another kind.
+MOST_DEGREES = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +50,7 @@ class Move:
     @property
     def is_far(self) -> bool:
         """Whether the cloud is turned by more than the default would turn it."""
-        return self.degrees > np.degrees(MOST_DEVIATIONS * GIVEN_ERROR[0])
+        return self.degrees > MOST_DEGREES
 
     @property
     def degrees(self) -> float:
@@ -112,220 +84,3 @@ class Body:
     points: Array
     centre: Array
     scale: float
-
-
-def find_move(
-    body: Body, views: Sequence[View], asked: Asked = "auto", keep: Keep = "auto"
-) -> Move:
-    """What moves, of what was ``asked`` for.
-
-    "auto" : the rung of the ladder shift, pose, similarity that explains the misfit with the fewest
-    unknowns; nothing if none does, if the cloud fits where it is, if a picture cuts off the object,
-    so that its contour does not show where it is, or if there is a photo, which may contradict the
-    contours. "camera" : each camera by itself. Else the cloud stands where
-    the masks would have it, near where it was given, or anywhere if it does not meet them.
-    """
-    if asked == "shape":
-        return unmoved(views)
-    problem = _Placing(body, tuple(views))
-    if asked == "camera":
-        return problem.of_cameras()
-    if asked == "auto":
-        return problem.ladder(keep)
-    return problem.asked(asked, keep)
-
-
-def _why_unsure(best: Move, others: Sequence[Move]) -> str:
-    """Why one of the ``others`` may be right instead; "" if the best is sure."""
-    if best.missed > EXPLAINED:
-        return (
-            f"the cloud misses {best.missed:.0%} of the contours at best, expected at most "
-            f"{EXPLAINED:.0%}"
-        )
-    for other in others:
-        if other.missed < best.missed + SURE_GAP:
-            angle = angle_between(
-                other.matrix[:3, :3] / other.size, best.matrix[:3, :3] / best.size
-            )
-            return (
-                f"turned by another {float(angle):.0f} degrees it misses {other.missed:.0%} of the "
-                f"contours, here {best.missed:.0%}"
-            )
-    return ""
-
-
-class _Placing:
-    """A cloud and some of its views in the units of the cloud."""
-
-    def __init__(self, body: Body, views: tuple[View, ...], unit: float | None = None) -> None:
-        """``unit`` : length in the world of the cameras that stands for 1; the cloud's longest side
-        by default.
-        """
-        self.body, self.views = body, views
-        self.unit = body.scale if unit is None else unit
-        self.points = (body.points - body.centre) / body.scale
-        to_file = np.eye(3), body.centre, self.unit
-        some = views[:: -(-len(views) // MOST_VIEWS)]
-        self.normalised = tuple(view.before_placed(*to_file) for view in some)
-
-    @cached_property
-    def comparison(self) -> Comparison:
-        return Comparison.of(self.points, self.normalised)
-
-    @cached_property
-    def both_found(self) -> bool:
-        """Whether the views can separate the size of a cloud from its distance."""
-        return len(self.views) > 1 or bool(self.comparison.surfaces)
-
-    def freedom(self, kind: Moved, keep: Keep) -> tuple[Freedom, Keep | None]:
-        """What may change, and what stays of size and distance, where only one of them can."""
-        unit = np.eye(UNKNOWNS)
-        shift, turn, size = unit[:, SHIFT], unit[:, TURN], unit[:, [SIZE]]
-        kept: Keep | None = None
-        columns = [shift] if kind == "shift" else [turn, shift]
-        given = Placements.unmoved()
-        if self.both_found:
-            columns += [size] if kind == "similarity" else []
-        else:
-            kept = keep
-            if keep == "auto":
-                kept = "distance" if kind in ("similarity", "shift") else "size"
-            if kept == "distance":
-                columns[-1] = shift @ self.normalised[0].camera.R[:2].T
-                columns += [size] if kind == "similarity" else []
-        freedom = Freedom(np.concatenate(columns, 1), given, GIVEN_ERROR)
-        of_depth = self.comparison.at_depth(given, freedom)
-        # A cloud in other units than the depth map.
-        if abs(np.log(of_depth.size[0])) > MOST_DEVIATIONS * GIVEN_ERROR[SIZE]:
-            freedom = replace(freedom, given=of_depth)
-        return freedom, kept
-
-    def ladder(self, keep: Keep) -> Move:
-        """The fewest unknowns that explain the misfit."""
-        if any(view.truncated for view in self.views):
-            return unmoved(self.views, "a picture cuts off the object")
-        if any(view.image is not None for view in self.views):
-            return unmoved(self.views, "a photo may contradict the contours")
-        if self.comparison.fits(Placements.unmoved()):
-            return unmoved(self.views, "the cloud fits the contours where it is")
-        # Of size and distance, the distance stays: it is longer than the object, so that a wrong
-        # distance is a larger error than a wrong size.
-        rungs: list[tuple[Moved, Keep]] = [("similarity", keep), ("pose", keep), ("shift", keep)]
-        if not self.both_found and keep == "size":
-            rungs = rungs[1:]
-        elif not self.both_found:
-            rungs = [(kind, "distance") for kind, _ in rungs]
-        # From many unknowns to few: a cloud that no move explains costs one search.
-        moves: list[Move] = []
-        for kind, kept_here in rungs:
-            freedom, kept = self.freedom(kind, kept_here)
-            found = search_from(self.comparison, freedom, PROMISING_UNASKED)
-            if not moves and not self.is_plausible(found):
-                why = "no small turn and shift explains what the cloud misses of the contours"
-                return unmoved(self.views, why, found.given)
-            moves.append(self.move(kind, found, kept))
-        enough = moves[0].missed + BRINGS_LITTLE
-        return next(move for move in reversed(moves) if move.missed <= enough)
-
-    def is_plausible(self, found: Found) -> bool:
-        """Whether the default may believe in what a search found."""
-        given, depth = Placements.unmoved(), self.comparison.depth()
-        if depth is not None and depth(found.placement).value > depth(given).value:
-            return False
-        change = found.placement.since(given)[0] / GIVEN_ERROR
-        return found.explains and bool(np.abs(change).max() <= MOST_DEVIATIONS)
-
-    def asked(self, kind: Moved, keep: Keep) -> Move:
-        """Near where the cloud was given, or anywhere if it does not fit there."""
-        if kind == "similarity" and len(self.views) > 1:
-            times = size_of_object(self.comparison.targets)
-            if abs(np.log(times)) > np.log(OTHER_UNITS):
-                in_units = _Placing(self.body, self.views, self.unit * times)
-                return in_units.anywhere(*in_units.freedom(kind, keep), kind)
-        freedom, kept = self.freedom(kind, keep)
-        if not self.in_front:
-            return self.anywhere(freedom, kept, kind)
-        near = place_from(self.comparison, freedom)
-        if near.placement is freedom.given and freedom.given.size[0] == 1.0:
-            return unmoved(self.views, "no other place fits much better", near.given)
-        move = self.move(kind, near, kept)
-        if near.fits:
-            return move
-        elsewhere = self.anywhere(freedom, kept, kind)
-        better = elsewhere.explains and elsewhere.missed < move.missed
-        return elsewhere if better or not self.meets_masks else move
-
-    @cached_property
-    def in_front(self) -> bool:
-        """Whether the whole cloud was given in front of the cameras."""
-        given, targets = Placements.unmoved(), self.comparison.targets
-        depths = [target.project(self.points, given).depth for target in targets]
-        pairs = zip(targets, depths, strict=True)
-        return all(one.camera.model != "perspective" or depth.min() > 0.0 for one, depth in pairs)
-
-    @property
-    def meets_masks(self) -> bool:
-        """Whether the cloud says something about its place where it was given."""
-        points, given = spread_points(self.points), Placements.unmoved()
-        overlap = closed_iou(points, given, self.comparison.targets, spacing(points))
-        return bool(overlap[0] >= LEAST_OVERLAP)
-
-    def anywhere(self, freedom: Freedom, kept: Keep | None, kind: Moved) -> Move:
-        """The best of all directions, and the others that are no symmetry of the cloud."""
-        if kind == "pose" and kept == "distance":
-            # Neither size nor distance could change: in another direction it would not fit.
-            freedom, kept = self.freedom(kind, "size")
-        given = float(self.comparison.missed(freedom.given)[0])
-        free = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
-        found = search_everywhere(self.comparison, self.points, self.normalised, free)
-        placements = found.placements
-        if kept is not None and kind == "similarity":
-            placements, kept = self.as_kept(placements, kept)
-        points = spread_points(self.points)
-        best, *others = (
-            self.move(kind, Found(placements[i : i + 1], given, missed), kept)
-            for i, missed in enumerate(found.missed.tolist())
-            if not i
-            or not same_by_symmetry(points, placements.R[0], placements.R[i], spacing(points))
-        )
-        alternatives = tuple((one.missed, one.matrix) for one in others)
-        return replace(best, alternatives=alternatives, why_unsure=_why_unsure(best, others))
-
-    def as_kept(self, placements: Placements, kept: Keep) -> tuple[Placements, Keep]:
-        """The placements, scaled about the one camera so that the distance or the size stays.
-
-        The size stays also if a part of the cloud was given behind the camera.
-        """
-        camera = self.normalised[0].camera
-        if camera.model == "orthographic":
-            return placements, kept
-        if kept == "distance" and self.in_front:
-            factor = camera.t[2] / (placements.t @ camera.R[2] + camera.t[2])
-        else:
-            kept, factor = "size", 1.0 / placements.size
-        return placements.scaled_about(camera.position, factor), kept
-
-    def of_cameras(self) -> Move:
-        views, found = [], []
-        for view in self.views:
-            alone = _Placing(self.body, (view,))
-            freedom, _ = alone.freedom("pose", "size")
-            one = place_from(alone.comparison, freedom)
-            found.append(one)
-            views.append(alone.move("camera", one, "size").views[0])
-        before, missed = (
-            float(np.mean([getattr(one, name) for one in found])) for name in ("given", "missed")
-        )
-        explains = all(one.explains for one in found)
-        return Move("camera", tuple(views), np.eye(4), before, missed, explains)
-
-    def move(self, kind: Moved, found: Found, kept: Keep | None) -> Move:
-        one, centre = found.placement, self.body.centre
-        # The product of many small rotations is a rotation only up to rounding.
-        R, size = nearest_rotation(one.R[0]), float(one.size[0]) * self.unit / self.body.scale
-        t = centre + self.unit * one.t[0] - size * R @ centre
-        matrix = np.eye(4)
-        if kind != "camera":
-            matrix[:3, :3], matrix[:3, 3] = size * R, t
-        views = tuple(view.before_placed(R, t, size) for view in self.views)
-        return Move(kind, views, matrix, found.given, found.missed, found.explains, kept)

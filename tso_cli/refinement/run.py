@@ -16,7 +16,8 @@ from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import WeighedProblem, optimise, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
-from ..pose.move import Move, find_move, unmoved
+from ..pose.move import Move, unmoved
+from ..pose.placing import find_move
 from ..prior import named_prior
 from .clock import Clock
 from .judge import judge
