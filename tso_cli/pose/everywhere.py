@@ -40,6 +40,8 @@ class _Stage:
 
 COARSE = _Stage(side=32, points=256, kept=48, degrees=20.0, steps=12, robust=6.0)
 FINE = _Stage(side=64, points=512, kept=16, degrees=10.0, steps=20, robust=4.0)
+# Views of the first search, at most: they tell directions apart, and cost time for each.
+COARSE_VIEWS = 4
 # Other poses of the end are this far apart, degrees.
 APART = 20.0
 # If none of the placements fits, this number of the best is searched around.
@@ -72,7 +74,8 @@ def search_everywhere(
     ``comparison`` is of the ``points`` [N, 3] and the views.
     """
     local = spread_points(points)
-    coarse = tuple(Target.of(view, COARSE.side) for view in views)
+    few = views[:: -(-len(views) // COARSE_VIEWS)]
+    coarse = tuple(Target.of(view, COARSE.side) for view in few)
     placements, score = starts(local[: COARSE.points], coarse, freedom)
     placements = placements[distinct(placements.R, score, COARSE.degrees, COARSE.kept)]
     misfit = NearestMisfit(local[: COARSE.points], coarse, COARSE.robust)
