@@ -43,13 +43,13 @@ def check_options(chosen: Mapping[str, Any], strict: bool) -> None:
     if chosen["refine_camera"] and chosen["move"] not in (None, "camera"):
         raise InputError(f"--refine-camera and --move {chosen['move']}, expected one of the two")
     config = options.pick(RefineConfig, with_move(chosen))
-    move = config.settings().move
-    if chosen["write_transform"] and move in ("shape", "camera"):
+    settings = config.settings()
+    if chosen["write_transform"] and settings.move in ("shape", "camera"):
         raise InputError(
-            f"--write-transform is for a cloud that moves as one, found --move {move}, which "
-            "leaves it where it is"
+            f"--write-transform is for a cloud that moves as one, found --move {settings.move}, "
+            "which leaves it where it is"
         )
-    if strict and not config.settings().smooth:
+    if strict and not settings.smooth:
         raise InputError(
             "--strict is for results with a confidence, of --mode points --preset best, found "
             f"--mode {config.mode} --preset {config.preset}"

@@ -42,10 +42,11 @@ HELD_BACK_IF_OUTVOTED = (0.1, 0.3)
 # Nothing is held back where short optimisations alone show a mistake: the start may as well be
 # another shape, which gains by the whole displacement. Nor is it without a finding: a cloud far off
 # its mask looks like a wrong camera, and so does a box that was stretched.
+
 UNSURE = ("unsure-camera", "unsure-place")
 """The notes that say that a pose found in all directions is unsure."""
-# The most confidence with one of them: half of these cameras are off by over 15
-# degrees (`tso lab pose`).
+# The most confidence with one of them: half of these cameras are off by over 15 degrees
+# (`tso lab pose`).
 MOST_CONFIDENCE_IF_UNSURE = 0.49
 # What is said if the features of a group lower the confidence most.
 REASONS = {

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.arrays import Array
+from ..geometry.arrays import Array, Indices
 from ..geometry.points import farthest_point_sample
 from ..geometry.view import View
 from .levenberg import Freedom, improve
 from .misfit import NearestMisfit
 from .placement import Placements
-from .search import FITS, Comparison, search_from
+from .search import FITS, Comparison, search_from, some_views
 from .starts import closed_iou, distinct, starts
 from .target import Target
 
@@ -74,8 +74,7 @@ def search_everywhere(
     ``comparison`` is of the ``points`` [N, 3] and the views.
     """
     local = spread_points(points)
-    few = views[:: -(-len(views) // COARSE_VIEWS)]
-    coarse = tuple(Target.of(view, COARSE.side) for view in few)
+    coarse = tuple(Target.of(view, COARSE.side) for view in some_views(views, COARSE_VIEWS))
     placements, score = starts(local[: COARSE.points], coarse, freedom)
     placements = placements[distinct(placements.R, score, COARSE.degrees, COARSE.kept)]
     misfit = NearestMisfit(local[: COARSE.points], coarse, COARSE.robust)
@@ -90,10 +89,10 @@ def search_everywhere(
     placements = placements[distinct(placements.R, -value, APART, len(placements))]
     if comparison.missed(placements[:1])[0] > FITS:
         placements = _searched_around(comparison, freedom, placements)
-    if comparison.missed(placements[:1])[0] > FITS:
-        # The contours of another shape do not tell where it is.
-        iou = closed_iou(local, by_cells, comparison.targets, spacing(local))
-        placements = by_cells[distinct(by_cells.R, iou, APART, len(by_cells))]
+        if comparison.missed(placements[:1])[0] > FITS:
+            # The contours of another shape do not tell where it is.
+            iou = closed_iou(local, by_cells, comparison.targets, spacing(local))
+            placements = by_cells[distinct(by_cells.R, iou, APART, len(by_cells))]
     iou = closed_iou(local, placements, comparison.targets, spacing(local))
     return Candidates(placements, comparison.missed(placements), iou)
 
@@ -108,11 +107,17 @@ def _searched_around(
     return Placements.joined([*(found[i].placement for i in order), placements[few:]])
 
 
-def spread_points(points: Array) -> Array:
-    """At most 1,024 of ``points``; for every k the first k of them are spread evenly."""
+def spread_indices(points: Array) -> Indices:
+    """Indices of at most 1,024 of ``points``; for every k the first k of them are spread evenly."""
+    index = np.arange(len(points))
     if len(points) > Points.THINNED:
-        points = points[np.random.default_rng(0).permutation(len(points))[: Points.THINNED]]
-    return points[farthest_point_sample(points, min(Points.SCORED, len(points)))]
+        index = np.random.default_rng(0).permutation(len(points))[: Points.THINNED]
+    return index[farthest_point_sample(points[index], min(Points.SCORED, len(index)))]
+
+
+def spread_points(points: Array) -> Array:
+    """The points of `spread_indices`."""
+    return points[spread_indices(points)]
 
 
 def spacing(points: Array) -> float:

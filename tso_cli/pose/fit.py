@@ -20,7 +20,7 @@ from .everywhere import (
     same_by_symmetry,
     search_everywhere,
     spacing,
-    spread_points,
+    spread_indices,
 )
 from .levenberg import Freedom
 from .placement import FOCAL, SHIFT, TURN, UNKNOWNS, Placements
@@ -206,9 +206,10 @@ def fit_camera(
         with_photo = replace(view, image=image)
         seen = appearance(local, np.asarray(colours, np.float64), found.placements, with_photo)
         found, seen = _by_photo(found, seen)
-    placements, spread = found.placements, spread_points(local)
+    placements, index = found.placements, spread_indices(local)
+    spread = local[index]
     gap = spacing(spread)
-    painted = None if colours is None else _nearest(spread, local, np.asarray(colours))
+    painted = None if colours is None else np.asarray(colours, np.float64)[index]
     degrees = angle_between(placements.R, placements.R[0])
     cameras = [
         _camera(view.camera, placements[i : i + 1], centre, unit) for i in range(len(placements))
@@ -229,14 +230,6 @@ def fit_camera(
     return FittedCamera(
         cameras[0], float(found.iou[0]), float(found.missed[0]), alternatives, (low, high)
     )
-
-
-def _nearest(points: Array, of: Array, values: Array) -> Array:
-    """The values of those ``of`` the points [N, 3] that are nearest to ``points``."""
-    from scipy.spatial import cKDTree
-
-    nearest: Array = values[cKDTree(of).query(points)[1]]
-    return nearest
 
 
 def _by_photo(found: Candidates, seen: Array) -> tuple[Candidates, Array]:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..geometry.arrays import Array
 from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
 from .asked import Asked, Keep, Moved
@@ -23,6 +24,7 @@ from .search import (
     Found,
     place_from,
     search_from,
+    some_views,
 )
 from .starts import closed_iou, size_of_object
 
@@ -53,11 +55,11 @@ def find_move(
     "auto" : the rung of the ladder shift, pose, similarity that explains the misfit with the fewest
     unknowns; nothing if none does, if the cloud fits where it is, if a picture cuts off the object,
     so that its contour does not show where it is, or if there is a photo, which may contradict the
-    contours. "camera" : each camera by itself. Else the cloud stands where
-    the masks would have it, near where it was given, or anywhere if it does not meet them.
+    contours. "camera" : each camera by itself. Else the cloud stands where the masks would have it,
+    near where it was given, or anywhere if it does not fit there.
     """
     if asked == "shape":
-        return unmoved(views)
+        return unmoved(views, "the shape alone was asked for")
     problem = _Placing(body, tuple(views))
     if asked == "camera":
         return problem.of_cameras()
@@ -96,12 +98,18 @@ class _Placing:
         self.unit = body.scale if unit is None else unit
         self.points = (body.points - body.centre) / body.scale
         to_file = np.eye(3), body.centre, self.unit
-        some = views[:: -(-len(views) // MOST_VIEWS)]
+        some = some_views(views, MOST_VIEWS)
         self.normalised = tuple(view.before_placed(*to_file) for view in some)
 
     @cached_property
     def comparison(self) -> Comparison:
         return Comparison.of(self.points, self.normalised)
+
+    @cached_property
+    def spread(self) -> tuple[Array, float]:
+        """Points of the cloud that are spread evenly, and the distance between them."""
+        points = spread_points(self.points)
+        return points, spacing(points)
 
     @cached_property
     def both_found(self) -> bool:
@@ -197,8 +205,8 @@ class _Placing:
     @property
     def meets_masks(self) -> bool:
         """Whether the cloud says something about its place where it was given."""
-        points, given = spread_points(self.points), Placements.unmoved()
-        overlap = closed_iou(points, given, self.comparison.targets, spacing(points))
+        points, gap = self.spread
+        overlap = closed_iou(points, Placements.unmoved(), self.comparison.targets, gap)
         return bool(overlap[0] >= LEAST_OVERLAP)
 
     def anywhere(self, freedom: Freedom, kept: Keep | None, kind: Moved) -> Move:
@@ -212,12 +220,11 @@ class _Placing:
         placements = found.placements
         if kept is not None and kind == "similarity":
             placements, kept = self.as_kept(placements, kept)
-        points = spread_points(self.points)
+        points, gap = self.spread
         best, *others = (
             self.move(kind, Found(placements[i : i + 1], given, missed), kept)
             for i, missed in enumerate(found.missed.tolist())
-            if not i
-            or not same_by_symmetry(points, placements.R[0], placements.R[i], spacing(points))
+            if not i or not same_by_symmetry(points, placements.R[0], placements.R[i], gap)
         )
         alternatives = tuple((one.missed, one.matrix) for one in others)
         return replace(best, alternatives=alternatives, why_unsure=_why_unsure(best, others))

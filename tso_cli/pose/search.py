@@ -61,6 +61,11 @@ class Nearby:
     KEPT = 5  # those that fit best from afar
 
 
+def some_views(views: Sequence[View], most: int) -> Sequence[View]:
+    """At most ``most`` of the views, evenly chosen."""
+    return views[:: -(-len(views) // most)]
+
+
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A cloud and the views that it is placed before.
@@ -171,9 +176,11 @@ def search_from(
 
     ``start`` is the given one by default, which the prior and `Found.given` are of in any case.
     """
-    start = freedom.given if start is None else start
-    missed_given = float(comparison.missed(freedom.given)[0])
-    missed_start = float(comparison.missed(start)[0])
+    missed_given = missed_start = float(comparison.missed(freedom.given)[0])
+    if start is None:
+        start = freedom.given
+    else:
+        missed_start = float(comparison.missed(start)[0])
     best, least, enough = Found(start, missed_given, missed_start), np.inf, promising[0]
     for starts in _stages(comparison, freedom, start):
         placements, values = comparison.settled(starts, freedom)

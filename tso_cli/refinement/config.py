@@ -109,8 +109,7 @@ class RefineConfig:
                 f"mode is {self.mode!r}, expected points for move {self.move}: the other modes "
                 "place their cloud themselves"
             )
-        smooth = self.preset == "best" and self.mode == "points"
-        if self.only and (self.move == "shape" or not (moves or smooth)):
+        if self.only and (self.move == "shape" or not (moves or self._smooth)):
             raise InputError(
                 "only the move is to be done and nothing may move, expected move pose, similarity, "
                 "camera or auto"
@@ -177,10 +176,15 @@ class RefineConfig:
             raise InputError(f"budget is {self.budget!r}, expected auto or seconds")
         return seconds
 
+    @property
+    def _smooth(self) -> bool:
+        """Whether a smooth displacement is optimised, as `Settings.smooth`."""
+        return self.preset == "best" and self.mode == "points"
+
     def settings(self, views: int = 1) -> Settings:
         """The same with the preset's values in place of None, for clouds with ``views`` views."""
         preset, seconds = DEFAULTS[self.preset, self.mode], self.budget_seconds
-        smooth = self.preset == "best" and self.mode == "points"
+        smooth = self._smooth
         short = seconds < SHORT_SECONDS * views
         defaults: dict[str, Any] = dict(
             steps=default_steps(views) if smooth else preset.steps,

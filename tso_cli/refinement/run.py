@@ -87,9 +87,9 @@ def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock:
     asked = settings.move
     if asked == "auto" and settings.seconds < SECONDS_OF_A_MOVE * len(scene.views):
         return unmoved(scene.views, "the budget leaves no time to look")
-    if asked == "shape":
-        return unmoved(scene.views, "the shape alone was asked for")
     find = partial(find_move, cloud.body, scene.views, asked, settings.keep)
+    if asked == "shape":
+        return find()
     move = clock.attempt("place", find, unmoved(scene.views, "interrupted"))
     if not move.is_far or move.why_unsure:
         return move
