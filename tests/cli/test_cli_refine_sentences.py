@@ -14,10 +14,11 @@ from tso_cli.commands.sentences import (
     shown,
     why_unmoved,
 )
+from tso_cli.diagnosis.assumptions import INVERTED, Assumption
 from tso_cli.diagnosis.confidence import FINDING, REASONS, Trust
 from tso_cli.diagnosis.examine import AXES_ADVICE, Diagnosis, NoOverlapError
 from tso_cli.diagnosis.findings import NOTES, Finding
-from tso_cli.diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
+from tso_cli.diagnosis.hypotheses import HYPOTHESES
 
 ONE, TWO = Words(["a.png"]), Words(["a.png", "b.png"])
 SIX = Words([f"{number}.png" for number in range(6)])
@@ -87,10 +88,10 @@ def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
             "a mask of its outline",
         ),
         (
-            ONE,
-            Finding("occluder", (0,)),
-            "something hides a part of the object in a.png",
-            "--ignore FILE",
+            TWO,
+            Finding("opengl+cloud-z-up", (0, 1)),
+            f"{HYPOTHESES['opengl'].says} and {HYPOTHESES['cloud-z-up'].says}",
+            "--assume opengl --assume cloud-z-up",
         ),
     ],
 )
@@ -151,7 +152,7 @@ def test_views_of_one_name_are_numbered():
 
 @pytest.mark.parametrize("name", NOTES)
 def test_a_note_names_its_view_and_the_option_that_mends_it(name):
-    numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "times"), 3.0)
+    numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "times", "share"), 3.0)
     numbers |= dict.fromkeys(("distance", "size", "observed", "nearest", "farthest", "count"), 3.0)
     finding = Finding(name, (1,), values={**numbers, "why": "a face is degenerate"})
     assert TWO.note(finding) == f"b.png: {finding.says}{OPTIONS_OF_NOTES.get(name, '')}"

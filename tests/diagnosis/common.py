@@ -8,11 +8,12 @@ import numpy as np
 from tests.scenes import example, seen, turned
 from tso_cli import View
 from tso_cli.cloud.cloud import Cloud
+from tso_cli.diagnosis.assumptions import Assumption, as_meant, assumptions_of
 from tso_cli.diagnosis.cells import Outline
 from tso_cli.diagnosis.examine import Diagnosis, NoOverlapError, examine
 from tso_cli.diagnosis.explain import Explanation, explain
 from tso_cli.diagnosis.findings import Finding
-from tso_cli.diagnosis.hypotheses import HYPOTHESES, Assumption, as_meant, assumptions_of
+from tso_cli.diagnosis.hypotheses import HYPOTHESES
 
 PLANE = example("airplane")
 EXAMPLES = "chair", "car", "airplane"

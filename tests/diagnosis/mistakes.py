@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from tso_cli import View
-from tso_cli.diagnosis.hypotheses import HYPOTHESES
+from tso_cli.diagnosis.assumptions import Assumption, as_meant
+from tso_cli.diagnosis.hypotheses import FOCAL_UNITS, HYPOTHESES
 
 from .common import PLANE
 
 # The hypothesis that undoes another one, where that is not the same change again.
 PAIRS = (
+    ("mask-turned-left", "mask-turned-right"),
     ("cloud-z-up", "cloud-y-up"),
     ("cloud-yzx", "cloud-zxy"),
-    ("K-of-half-size", "K-of-double-size"),
     ("cloud-millimetres", "camera-millimetres"),
     ("cloud-centimetres", "camera-centimetres"),
     ("cloud-inches", "camera-inches"),
@@ -52,15 +53,14 @@ def mistaken(name: str) -> tuple[np.ndarray, View]:
         flip = np.array([1.0, -1.0, -1.0])
         R, t = flip[:, None] * camera.R, flip * camera.t
         return PLANE.target, replace(view, camera=replace(camera, R=R.T, t=-R.T @ t))
+    if name == "pytorch3d":
+        R, t = np.diag([-1.0, -1.0, 1.0]) @ camera.R, camera.t * [-1.0, -1.0, 1.0]
+        return PLANE.target, replace(view, camera=replace(camera, R=R.T, t=t))
     if name == "t-of-position":
         return PLANE.target, replace(view, camera=replace(camera, t=camera.position))
-    if HYPOTHESES[name].unit_of_focal:
+    if HYPOTHESES[name] in FOCAL_UNITS:
         return PLANE.target, replace(view, camera=replace(camera, K=_not_in_pixels(name)))
     mistake = HYPOTHESES[OPPOSITE.get(name, name)]
-    mask = view.mask
-    if mistake.mask == "inverted":
-        mask = 1.0 - mask
-    elif mistake.mask:
-        mask = mask[:, ::-1] if mistake.mask == "left-right" else mask[::-1]
+    mask = as_meant(view, [Assumption(mistake)]).mask if mistake.of_mask else view.mask
     wrong = replace(view, mask=mask, camera=mistake.camera(camera))
     return PLANE.target @ mistake.matrix.T, wrong

@@ -183,7 +183,7 @@ def test_a_finding_is_the_reason_also_with_an_unsure_camera():
     ("findings", "joined"),
     [
         ([Finding("opengl", (0,))], "{0}"),
-        ([Finding("box", (0,)), Finding("occluder", (1,))], "{0}; {1}"),
+        ([Finding("box", (0,)), Finding("mispaired", (1, 2))], "{0}; {1}"),
         ([Finding("opengl", (0, 1)), Finding("pytorch3d", (0, 1))], "{0} or {1}"),
     ],
 )

@@ -7,8 +7,9 @@ import pytest
 
 from tests.scenes import example, in_photo, seen, turned
 from tso_cli import View
+from tso_cli.diagnosis.assumptions import assumptions_of
 from tso_cli.diagnosis.explain import MOST_ALTERNATIVES
-from tso_cli.diagnosis.hypotheses import HYPOTHESES, assumptions_of
+from tso_cli.diagnosis.hypotheses import FOCAL_UNITS, HYPOTHESES
 from tso_cli.losses.silhouette import silhouette_of
 
 from .common import (
@@ -60,7 +61,7 @@ def test_another_unit_of_the_focal_length_is_not_tried_where_pixels_are_plausibl
     wide = replace(scene.view, camera=replace(scene.camera, K=K))
     for view in (scene.view, wide):
         names = [finding.name for finding in explained(scene.target, [view]).of_input]
-        assert not [one for one in names if HYPOTHESES[one].unit_of_focal]
+        assert not {hypothesis.name for hypothesis in FOCAL_UNITS} & set(names)
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -159,22 +160,54 @@ def test_a_mistake_in_one_view_of_several_is_found_there(name):
 
 
 @pytest.mark.parametrize("wrong", [0, 1])
-def test_of_two_views_the_one_that_shows_nothing_of_the_cloud_is_the_wrong_one(wrong):
+@pytest.mark.parametrize("name", ["camera-to-world", "mask-upside-down", "mask-inverted"])
+def test_of_two_views_the_one_that_the_cloud_does_not_fit_is_the_wrong_one(name, wrong):
     views = around(2)
-    views[wrong] = changed(views[wrong], "camera-to-world")
-    found = explained(PLANE.points, views).of_views
-    assert named(found) == [("camera-to-world", (wrong,))]
-    # A flipped view shows the cloud as well as the other view does.
-    views = around(2)
-    views[wrong] = changed(views[wrong], "mask-flipped")
-    assert explained(PLANE.points, views).of_views == ()
+    views[wrong] = changed(views[wrong], name)
+    assert named(explained(PLANE.points, views).of_views) == [(name, (wrong,))]
 
 
-@pytest.mark.parametrize(("name", "found"), [("mask-inverted", True), ("mask-upside-down", False)])
-def test_of_two_views_either_may_be_the_wrong_one_unless_a_mask_fills_the_border(name, found):
-    views = around(2)
-    of_views = explained(PLANE.target, [views[0], changed(views[1], name)]).of_views
-    assert bool(of_views) == found
+# Of two mistakes at once, of widths
+
+
+@pytest.mark.parametrize(("camera", "cloud"), [("opengl", "cloud-z-up"), ("pix3d", "cloud-y-up")])
+def test_two_mistakes_at_once_are_found_as_a_pair(camera, cloud):
+    opposite = {"cloud-z-up": "cloud-y-up", "cloud-y-up": "cloud-z-up"}[cloud]
+    points = PLANE.points @ HYPOTHESES[opposite].matrix.T
+    found = explained(points, [changed(PLANE.view, camera)]).of_input
+    assert f"{camera}+{cloud}" in [finding.name for finding in found]
+
+
+def test_a_focal_length_in_millimetres_is_found_with_wrong_axes():
+    """As who copies Pix3D's focal length and pose."""
+    scene = example("airplane")
+    width, height = 4 * scene.camera.width, 4 * scene.camera.height
+    camera = HYPOTHESES["pix3d"].camera(scene.camera.resized(width, height))
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] *= 32.0 / width
+    view = View(np.kron(scene.mask, np.ones((4, 4), np.float32)), camera)
+    found = explained(scene.target, [replace(view, camera=replace(camera, K=K))]).of_input
+    assert "focal-mm-32+pix3d" in [finding.name for finding in found]
+
+
+@pytest.mark.parametrize("width", [97, 518])
+def test_the_principal_point_tells_the_width_that_K_is_of(width):
+    K = PLANE.camera.resized(width, width * PLANE.camera.height // PLANE.camera.width).K
+    found = explained(PLANE.points, [replace(PLANE.view, camera=replace(PLANE.camera, K=K))])
+    assert f"K-of-width={width}" in [finding.name for finding in found.of_input]
+
+
+@pytest.mark.parametrize("times", [0.56, 0.7, 1.4, 1.8])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_stretched_can_is_no_can_with_exchanged_axes(axis, times):
+    rng = np.random.default_rng(0)
+    angle, height = rng.uniform(0.0, 2.0 * np.pi, 4096), rng.uniform(-0.3, 0.3, 4096)
+    can = np.stack([0.3 * np.cos(angle), height, 0.3 * np.sin(angle)], 1)
+    scale = np.ones(3)
+    scale[axis] = times
+    for degrees in (0.0, 40.0):
+        view = seen(can, turned(PLANE.camera, degrees))
+        assert explained(can * scale, [view]).of_input == ()
 
 
 def test_two_wrong_views_of_four_are_both_found():

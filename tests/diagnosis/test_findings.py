@@ -4,8 +4,9 @@ import string
 
 import pytest
 
+from tso_cli.diagnosis.assumptions import INVERTED
 from tso_cli.diagnosis.findings import NOTES, SUSPICIOUS_SYMPTOMS, SYMPTOMS, Finding
-from tso_cli.diagnosis.hypotheses import HYPOTHESES, INVERTED
+from tso_cli.diagnosis.hypotheses import HYPOTHESES
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.corruption import assert_refused
-from tso_cli.diagnosis.hypotheses import (
-    HYPOTHESES,
+from tso_cli import View
+from tso_cli.diagnosis.assumptions import (
     INVERTED,
     Assumption,
     as_meant,
@@ -17,6 +17,7 @@ from tso_cli.diagnosis.hypotheses import (
     axes_of,
     left_handed,
 )
+from tso_cli.diagnosis.hypotheses import HYPOTHESES, hypothesis_called, of_width
 from tso_cli.geometry.camera import Camera
 
 from .common import PLANE, around, assumed, changed
@@ -59,7 +60,11 @@ def test_depth_map_and_photo_are_mirrored_with_the_camera_of_a_left_handed_cloud
 
 @pytest.mark.parametrize(
     ("name", "order"),
-    [("mask-flipped", np.s_[:, ::-1]), ("mask-upside-down", np.s_[::-1])],
+    [
+        ("mask-flipped", np.s_[:, ::-1]),
+        ("mask-upside-down", np.s_[::-1]),
+        ("mask-turned", np.s_[::-1, ::-1]),
+    ],
 )
 def test_a_mask_is_flipped_with_its_unknown_pixels_and_without_its_depth_map(name, order):
     known = np.ones(PLANE.mask.shape, bool)
@@ -108,18 +113,56 @@ def test_hypotheses_about_the_cloud_are_those_named_after_it():
 
 
 def test_hypotheses_about_the_camera_change_it():
-    about_mask = {name for name, one in HYPOTHESES.items() if one.mask}
+    about_mask = {name for name, one in HYPOTHESES.items() if one.of_mask}
     assert about_mask == {name for name in HYPOTHESES if name.startswith("mask-")}
     for name, one in HYPOTHESES.items():
         assert one.name == name
-        assert not (one.mask and one.changes_camera)
-        assert one.mask or one.changes_camera or one.axes != "x y z"
+        assert not (one.of_mask and one.changes_camera)
+        assert one.of_mask or one.changes_camera or one.axes != "x y z"
 
 
 @pytest.mark.parametrize("name", HYPOTHESES)
 def test_an_assumption_can_be_sent_to_another_process(name):
     (one,) = assumed(name)
     assert pickle.loads(pickle.dumps(one)) == one
+
+
+def test_a_mask_that_is_turned_left_is_turned_back_to_the_right():
+    upright = np.arange(6.0, dtype=np.float32).reshape(2, 3)
+    square = np.zeros((3, 3), np.float32)
+    square[:2] = upright / 6.0
+    camera = Camera.canonical(3, 3)
+    for name, turns in (("mask-turned-left", 1), ("mask-turned-right", -1)):
+        turned = View(np.rot90(square, turns), camera)
+        np.testing.assert_array_equal(changed(turned, name).mask, square)
+
+
+def test_PyTorch3D_s_R_and_T_are_meant_as_PyTorch3D_projects():
+    """x_camera = x R + T, with x to the left and y up."""
+    camera = PLANE.camera
+    x_left = np.diag([-1.0, -1.0, 1.0])
+    dumped = replace(camera, R=(x_left @ camera.R).T, t=x_left @ camera.t)
+    seen = PLANE.target @ dumped.R + dumped.t
+    meant = HYPOTHESES["pytorch3d"].camera(dumped)
+    np.testing.assert_allclose(
+        PLANE.target @ meant.R.T + meant.t, seen * [-1.0, -1.0, 1.0], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(("width", "height"), [(518, None), (100, 300)])
+def test_K_of_another_image_is_resized_with_it(width, height):
+    camera = PLANE.camera
+    size = width, height or round(width * camera.height / camera.width)
+    given = replace(camera, K=camera.resized(*size).K)
+    meant = of_width(width, height).camera(given)
+    np.testing.assert_allclose(meant.K, camera.K, rtol=0.005)
+
+
+def test_a_width_is_part_of_the_name():
+    assert hypothesis_called("K-of-width=518") == of_width(518)
+    assert hypothesis_called("K-of-width=518x392") == of_width(518, 392)
+    for name in ("K-of-width", "K-of-width=0", "K-of-width=5.5", "K-of-width=518x", "opengl=3"):
+        assert hypothesis_called(name) is None
 
 
 # Names

@@ -172,7 +172,7 @@ def test_every_common_mistake_is_listed(tso):
     text = (DOCS / "troubleshooting.md").read_text()
     section = text.split("## Common mistakes")[1].split("\n## ")[0]
     rows = [row for row in section.splitlines() if row.startswith("| `")]
-    listed = [name for row in rows for name in re.findall(r"`([\w-]+)`", row.split("|")[1])]
+    listed = [name for row in rows for name in re.findall(r"`([\w=-]+)`", row.split("|")[1])]
     assert sorted(listed) == sorted(names)
     assert f"under {len(names)} hypotheses" in (DOCS / "stability.md").read_text()
     assert f"for {len(names)} common mistakes" in README.read_text()

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from tso_cli import RefineConfig, refine
+from tso_cli.diagnosis.assumptions import Assumption
 from tso_cli.diagnosis.examine import Diagnosis, NoOverlapError
 from tso_cli.diagnosis.findings import Finding
-from tso_cli.diagnosis.hypotheses import HYPOTHESES, Assumption
+from tso_cli.diagnosis.hypotheses import HYPOTHESES
 from tso_cli.errors import InputError
 from tso_cli.lab.stability.knees import AXIS
 from tso_cli.lab.stability.runs import Outcome, Run, findings_of

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tso_cli.diagnosis.assumptions import Assumption, as_meant
 from tso_cli.diagnosis.confidence import Trust
 from tso_cli.diagnosis.findings import Finding
-from tso_cli.diagnosis.hypotheses import HYPOTHESES, Assumption, as_meant
 from tso_cli.errors import InputError
 from tso_cli.geometry.rotations import angle_between
 from tso_cli.lab.stability import study
@@ -24,6 +24,7 @@ GROSS = [axis for axis in AXES if axis.gross]
 # Axes that change the true points too: the cloud is in another frame, or the object is another.
 FRAMES = [axis.name for axis in GROSS if axis.group == "cloud"]
 OF_ANOTHER_OBJECT = [*FRAMES, "cloud of the other handedness", "thin object", "holed object"]
+OF_ANOTHER_OBJECT += ["cameras of Blender, cloud of glTF", "axes of OpenGL, cloud with z up"]
 OF_ANOTHER_OBJECT += ["yaw before a thin object", "camera moved aside, thin object"]
 
 
@@ -66,8 +67,10 @@ def test_levels_of_an_axis_go_one_way_and_their_names_are_its_own():
 def test_a_mistake_undone_puts_the_true_points_on_the_mask_again(cases, axis):
     for level in axis.levels:
         case = altered(cases, axis.name, level)
-        right = Assumption(HYPOTHESES[axis.mistake(level)])
-        mended = as_meant(case.views[0], [right])
+        width = round(level * case.views[0].camera.width)
+        names = axis.mistake(level).replace("K-of-width", f"K-of-width={width}")
+        right = [Assumption(one) for one in Finding(names).hypotheses]
+        mended = as_meant(case.views[0], right)
         assert shares_inside(replace(case, views=(mended,)))[0] > 0.95, level
 
 

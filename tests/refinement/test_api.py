@@ -11,8 +11,9 @@ from tests.corruption import assert_refused
 from tests.scenes import block, problem_of
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
+from tso_cli.diagnosis.assumptions import Assumption
 from tso_cli.diagnosis.findings import Finding
-from tso_cli.diagnosis.hypotheses import HYPOTHESES, Assumption
+from tso_cli.diagnosis.hypotheses import HYPOTHESES
 from tso_cli.errors import InputError
 from tso_cli.optimisation.optimise import optimise, weigh
 from tso_cli.optimisation.resampled_view import resample_view

@@ -9,7 +9,7 @@ from PIL import Image
 from tests.corruption import assert_refused
 from tests.scenes import EXAMPLES as FOLDER
 from tests.scenes import block
-from tso_cli.diagnosis.hypotheses import INVERTED
+from tso_cli.diagnosis.assumptions import INVERTED
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.masks import MaskChoice, read_mask
 from tso_cli.io.shipped import default_checkpoint

@@ -41,9 +41,10 @@ BRIEF = (
 
 def _hypotheses() -> dict[str, str]:
     """The table that `--assume list` prints."""
-    from ..diagnosis.hypotheses import HYPOTHESES
+    from ..diagnosis.hypotheses import HYPOTHESES, of_width
 
-    return {name: hypothesis.says for name, hypothesis in HYPOTHESES.items()}
+    example = of_width(518)
+    return {one.name: one.says for one in (*HYPOTHESES.values(), example)}
 
 
 def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..diagnosis.hypotheses import INVERTED, assumptions_of
+from ..diagnosis.assumptions import INVERTED, assumptions_of
 from ..errors import InputError
 from ..geometry.arrays import Array, Pixels
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks

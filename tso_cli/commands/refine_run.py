@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ..diagnosis.assumptions import left_handed
 from ..diagnosis.examine import NoOverlapError
-from ..diagnosis.hypotheses import left_handed
 from ..errors import GateError, InputError
 from ..geometry.arrays import Array
 from ..io.clouds import output_suffix

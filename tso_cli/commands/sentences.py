@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ..diagnosis.assumptions import INVERTED, Assumption
 from ..diagnosis.confidence import FINDING
 from ..diagnosis.examine import IN_PIXELS, NoOverlapError
 from ..diagnosis.findings import Finding
-from ..diagnosis.hypotheses import HYPOTHESES, INVERTED, Assumption
 from ..diagnosis.placement import describe_box
 from ..errors import InputError
 from ..refinement import RefineResult
@@ -25,7 +25,7 @@ LOOK = (
     "similarity"
 )
 # What mends a symptom of a single view.
-OPTIONS = {"box": "a mask of its outline", "occluder": "--ignore FILE"}
+OPTIONS = {"box": "a mask of its outline"}
 # What a verdict means; "" where there is none.
 VERDICTS = {
     "improved": "The points moved, and the Chamfer distance to the true shape probably does not "
@@ -36,6 +36,7 @@ VERDICTS = {
 }
 # Options that mend what a note says.
 OPTIONS_OF_NOTES = {
+    "occluder": " (--ignore FILE, to say what is hidden)",
     "depth-unit": " (--depth-scale)",
     "rescaled": " (--depth-scale)",
     "assumed-picture": " (--camera FILE)",
@@ -55,7 +56,7 @@ class Words:
         """What may be wrong with the input, and what to try; "" without findings."""
         if not findings:
             return ""
-        alternatives = findings[0].name in HYPOTHESES
+        alternatives = bool(findings[0].hypotheses)
         if not alternatives or len(findings[0].views) < len(self.names):
             parts = map(self.what_and_option, findings)
             return "; ".join(f"it looks as if {one['what']}: try {one['option']}" for one in parts)
@@ -81,8 +82,9 @@ class Words:
             if alone and not finding.without.view:
                 option += f" for {name}"
         else:
-            what, option = HYPOTHESES[finding.name].says, f"--assume {finding.name}"
-            option += f"@{name}" if alone else ""
+            at = f"@{name}" if alone else ""
+            options = (f"--assume {hypothesis.name}{at}" for hypothesis in finding.hypotheses)
+            what, option = finding.says, " ".join(options)
         return f"for {name} alone {what}" if alone else what, option
 
     def _option(self, assumption: Assumption) -> str:

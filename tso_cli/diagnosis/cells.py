@@ -1,60 +1,104 @@
-"""Silhouettes of clouds and masks in coarse cells, and their IoU."""
+"""Silhouettes of clouds and masks in coarse cells, and their IoU under many assumptions at once."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.arrays import Array, Bits
+from ..geometry.arrays import Array, Bits, Indices
+from ..geometry.camera import Camera
 from ..geometry.view import View, object_box
-from ..losses.projection import pixels_under
-from .hypotheses import Assumption, axes_of, mask_changes
+from .assumptions import Assumption, axes_of, mask_change
 
 # Cells along the longer side of the mask's bounding box.
 CELLS = 16
 # A cell is foreground if more than this share of its pixels is.
 FOREGROUND_SHARE = 0.1
+# A mask of fewer cells matches too much by chance, as does a cloud that shrinks to a point.
+FEWEST_CELLS = 10
 # An inverted mask is foreground along at least this share of the picture's border.
 INVERTED_BORDER = 0.6
-# The number of a cell is its row times this, plus its column.
-ROW = 1 << 32
 
 
-class Cells(NamedTuple):
-    """The cells of a grid that are foreground."""
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The foreground of a mask in cells of a grid that begins at the corner of the object's box.
 
-    low: Array  # [2], column and row of the corner of the first cell, px
-    edge: float  # of a cell, px
-    inside: set[int]
+    low : [2], column and row of that corner, px. edge : of a cell, px.
+    inside : [rows, columns], the cells that are foreground.
+    """
+
+    low: Array
+    edge: int
+    inside: Bits
 
     @classmethod
     def of(cls, inside: Bits) -> Cells:
-        """Of a mask [H, W]; the grid begins at the corner of the object's box."""
+        """Of a mask [H, W]."""
         left, top, right, bottom = object_box(inside)
         edge = -(-max(right - left, bottom - top) // CELLS)
         rows, columns = -(-(bottom - top) // edge), -(-(right - left) // edge)
         padded = np.zeros((rows * edge, columns * edge), bool)
         padded[: bottom - top, : right - left] = inside[top:bottom, left:right]
         shares = padded.reshape(rows, edge, columns, edge).mean((1, 3))
-        row, column = np.nonzero(shares > FOREGROUND_SHARE)
-        return cls(np.array([left, top]) - 0.5, edge, set((row * ROW + column).tolist()))
+        return cls(np.array([left, top]) - 0.5, edge, shares > FOREGROUND_SHARE)
 
-    @classmethod
-    def around(cls, pixels: Array, edge: float) -> Cells:
-        """The cells that ``pixels`` [N, 2] fall in; the grid begins at pixel 0."""
-        empty = cls(np.zeros(2), edge, set())
-        return empty._replace(inside=empty._under(pixels))
+    @property
+    def count(self) -> int:
+        return int(self.inside.sum())
 
-    def iou(self, pixels: Array) -> float:
-        """IoU of these cells and the cells that ``pixels`` [N, 2] fall in."""
-        covered = self._under(pixels)
-        return len(covered & self.inside) / max(1, len(covered | self.inside))
+    def ious(self, x: Array, y: Array, visible: Bits) -> Array:
+        """[C], IoU of these cells and the cells that the visible points of C clouds fall in.
 
-    def _under(self, pixels: Array) -> set[int]:
-        column, row = np.floor((pixels - self.low) / self.edge).astype(np.int64).T
-        return set((row * ROW + column).tolist())
+        ``x``, ``y`` and ``visible`` are [C, N]. Points that are farther from the object's box than
+        its longer side count as if they were nearer.
+        """
+        covered = self.covered(x, y, visible)
+        common = covered[:, CELLS:-CELLS, CELLS:-CELLS][:, self.inside].sum(1)
+        ious: Array = common / np.maximum(1, covered.sum((1, 2)) + self.count - common)
+        return ious
+
+    def covered(self, x: Array, y: Array, visible: Bits) -> Bits:
+        """[C, rows + 2 CELLS, columns + 2 CELLS], the cells that points fall in, as for `ious`.
+
+        `CELLS` cells at each side lie around the object's box.
+        """
+        rows, columns = (length + 2 * CELLS for length in self.inside.shape)
+        numbers = self._numbers(y, 1, rows) * columns + self._numbers(x, 0, columns)
+        covered = np.zeros((len(x), rows * columns), bool)
+        covered[np.nonzero(visible)[0], numbers[visible]] = True
+        return covered.reshape(-1, rows, columns)
+
+    def pixels_of(self, cells: Bits, height: int, width: int) -> Bits:
+        """[H, W], the pixels of a picture that lie in ``cells`` (as of `covered`)."""
+        columns = self._numbers(np.arange(width, dtype=float), 0, cells.shape[1])
+        rows = self._numbers(np.arange(height, dtype=float), 1, cells.shape[0])
+        pixels: Bits = cells[rows[:, None], columns]
+        return pixels
+
+    def _numbers(self, places: Array, axis: int, count: int) -> Indices:
+        """The rows or columns that ``places`` fall in, of ``count`` around the object's box."""
+        with np.errstate(invalid="ignore"):
+            numbers = (places - self.low[axis]) * (1.0 / self.edge) + CELLS
+            return np.clip(numbers, 0.0, count - 0.5).astype(np.int64)
+
+    def stretched(self, places: Array, visible: Bits, axis: int) -> Array:
+        """``places`` [C, N] along x (``axis`` 0) or y, so that the visible ones fill the box."""
+        low = np.where(visible, places, np.inf).min(1, keepdims=True)
+        high = np.where(visible, places, -np.inf).max(1, keepdims=True)
+        size = self.edge * self.inside.shape[1 - axis] - 1e-6
+        with np.errstate(invalid="ignore"):
+            filled: Array = self.low[axis] + (places - low) * (size / np.maximum(high - low, 1e-9))
+        return filled
+
+
+def dilated(cells: Bits) -> Bits:
+    """The cells [rows, columns], and all that touch one of them."""
+    for axis in range(2):
+        cells = cells | np.roll(cells, 1, axis) | np.roll(cells, -1, axis)
+    return cells
 
 
 class Outline:
@@ -68,56 +112,75 @@ class Outline:
     """
 
     def __init__(self, view: View, given: Sequence[Assumption] = ()) -> None:
-        self.view, self.given = view, tuple(given)
-        inverted = "inverted" in mask_changes(view, given)
-        inside, other = view.inside, ~view.inside
-        if view.known is not None:
-            other = other & view.known
+        self.view = view
+        inverted = mask_change(view, given).inverted
+        known = np.ones(view.mask.shape, bool) if view.known is None else view.known
+        inside, other = view.inside, known & ~view.inside
         if inverted:
             inside, other = other, inside
-        border = np.ones(inside.shape, bool) if view.known is None else view.known.copy()
+        border = known.copy()
         border[1:-1, 1:-1] = False
         self.may_be_inverted = bool(border.any() and inside[border].mean() >= INVERTED_BORDER)
         self.cells = {inverted: Cells.of(inside)}
         if self.may_be_inverted:
             self.cells[not inverted] = Cells.of(other)
-        self.foreground_cells = len(self.cells[inverted].inside)
+        self.foreground_cells = self.cells[inverted].count
 
-    def iou(self, points: Array, assumptions: Sequence[Assumption]) -> float:
-        """IoU of the mask and ``points`` [N, 3] in cells, under ``assumptions`` alone."""
-        return self.ious(points, assumptions, [self])[0]
+    def project(
+        self, points: Array, options: Sequence[Sequence[Assumption]]
+    ) -> tuple[Array, Array, list[bool]]:
+        """x and y [C, N] of ``points`` [N, 3] under each option, in the mask as it was read.
 
-    def ious(
-        self, points: Array, assumptions: Sequence[Assumption], masks: Sequence[Outline]
-    ) -> list[float]:
-        """The same for this camera and other ``masks``; 0 for a mask of another size."""
-        view, camera = self.view, self.view.camera
-        of_view = [one for one in assumptions if one.is_about(view)]
-        for assumption in of_view:
-            camera = assumption.hypothesis.camera(camera)
-        changes = mask_changes(view, of_view)
-        compared = [
-            mask.cells.get("inverted" in changes)
-            if mask.view.mask.shape == view.mask.shape
-            else None
-            for mask in masks
-        ]
-        if not any(compared):
-            return [0.0] * len(masks)
-        pixels, _ = camera.project(points @ axes_of(of_view).T)
-        # Flipping the projection has the same effect as flipping the mask.
-        if "left-right" in changes:
-            pixels[:, 0] = camera.width - 1.0 - pixels[:, 0]
-        if "upside-down" in changes:
-            pixels[:, 1] = camera.height - 1.0 - pixels[:, 1]
-        return [
-            cells.iou(on_known_pixels(pixels, mask.view)) if cells else 0.0
-            for cells, mask in zip(compared, masks, strict=True)
-        ]
+        And under which options the mask is inverted.
+        """
+        view, cameras, changes = self.view, [], []
+        axes = np.empty((len(options), 3, 3))
+        # Many options have the same camera.
+        cached: dict[tuple[str, ...], Camera] = {(): view.camera}
+        for number, option in enumerate(options):
+            of_view = [one for one in option if one.is_about(view)]
+            axes[number] = axes_of(of_view)
+            changes.append(mask_change(view, of_view))
+            name: tuple[str, ...] = ()
+            for hypothesis in (one.hypothesis for one in of_view if one.hypothesis.changes_camera):
+                before, name = cached[name], (*name, hypothesis.name)
+                cached[name] = cached.get(name) or hypothesis.camera(before)
+            cameras.append(cached[name])
+        R = np.stack([camera.R for camera in cameras]) @ axes
+        t = np.stack([camera.t for camera in cameras])
+        turns = np.stack([change.turn.T for change in changes])
+        middle = (np.array([view.camera.width, view.camera.height]) - 1.0) / 2.0
+        K = np.stack([camera.K[:2] for camera in cameras])
+        K[..., 2] -= middle
+        K = turns @ K
+        K[..., 2] += middle
+        seen = R @ points.T + t[..., None]
+        if view.camera.model == "perspective":
+            with np.errstate(divide="ignore", invalid="ignore"):
+                seen[:, :2] *= 1.0 / np.where(seen[:, 2:] > 0.0, seen[:, 2:], np.nan)
+        x, y = (K[..., :2] @ seen[:, :2] + K[..., 2:]).swapaxes(0, 1)
+        return x, y, [change.inverted for change in changes]
 
+    def visible(self, x: Array, y: Array) -> Bits:
+        """Which of the pixels fall on known pixels of the image."""
+        height, width = self.view.mask.shape
+        visible: Bits = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
+        if self.view.known is not None:
+            column, row = (np.rint(places[visible]).astype(int) for places in (x, y))
+            visible[visible] = self.view.known[row, column]
+        return visible
 
-def on_known_pixels(pixels: Array, view: View) -> Array:
-    """The rows of ``pixels`` [N, 2] that fall on known pixels of the image."""
-    finite = np.asarray(np.isfinite(pixels).all(1))
-    pixel, visible = pixels_under(pixels, finite, *view.mask.shape)
-    return pixels[visible if view.known is None else visible & view.known.ravel()[pixel]]
+    def ious(self, points: Array, options: Sequence[Sequence[Assumption]]) -> tuple[Array, float]:
+        """[C], IoU of the mask and ``points`` [N, 3] in cells under each option alone.
+
+        And the IoU under the first option of points that are stretched, so that their box is the
+        box of the mask.
+        """
+        x, y, inverted = self.project(points, options)
+        visible, found = self.visible(x, y), np.zeros(len(options))
+        for changed, cells in self.cells.items():
+            rows = np.array(inverted) == changed
+            found[rows] = cells.ious(x[rows], y[rows], visible[rows])
+        cells, shown = self.cells[inverted[0]], visible[:1]
+        column, row = cells.stretched(x[:1], shown, 0), cells.stretched(y[:1], shown, 1)
+        return found, float(cells.ious(column, row, shown)[0])

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..cloud.cloud import ControlledCloud
 from ..errors import InputError
-from ..geometry.arrays import Array, Box
+from ..geometry.arrays import Array, Bits, Box
 from ..geometry.points import scattered
 from ..geometry.view import View
 from ..optimisation.view_weights import FEWEST_VIEWS_TO_OUTVOTE
 from . import symptoms
+from .assumptions import Assumption
 from .cells import Outline
 from .explain import OUTVOTED_SHARE, Explanation, explain
 from .findings import Finding
-from .hypotheses import Assumption, focal_in_pixels
+from .hypotheses import focal_in_pixels
 from .placement import Placement, part_met, place, why_apart
 
 # Points that are projected to compare silhouettes.
@@ -40,6 +41,7 @@ class Diagnosis:
     of_views : what may be wrong with single views.
     weak : a hypothesis that only short optimisations can confirm, and whether they did.
     notes : what is worth reading before a result is used.
+    hidden : by number of the view, the pixels [H, W] that something in front of the object hides.
     explanation : None in the network modes, which place their cloud themselves.
     most_confidence : an upper bound of the confidence, from what the masks can show.
     outvoted : whether the suspicious views are few, so that the others outvote them.
@@ -51,6 +53,7 @@ class Diagnosis:
     weak: Finding | None = None
     confirmed: bool = False
     notes: tuple[Finding, ...] = ()
+    hidden: Mapping[int, Bits] = field(default_factory=dict)
     explanation: Explanation | None = None
     most_confidence: float = 1.0
     outvoted: bool = False
@@ -131,12 +134,8 @@ def _explained(
     found = explain(points, outlines, assumptions, are_boxes)
     of_views: tuple[Finding, ...] = ()
     if not found.of_input:
-        occluders = [
-            symptoms.occluder(view, number, points)
-            for number, view in enumerate(views)
-            if boxes[number] is None
-        ]
-        of_views = tuple(finding for finding in (*boxes, *found.of_views, *occluders) if finding)
+        of_views = tuple(finding for finding in (*boxes, *found.of_views) if finding)
+        diagnosis = _with_occluders(diagnosis, points, views, of_views)
     # Pairs are one finding about several views.
     suspicious = sum(len(one.pairs) or 1 for one in of_views)
     most_confidence = CONFIDENCE_OF_BOXES if are_boxes.all() else 1.0
@@ -153,6 +152,19 @@ def _explained(
         and len(views) >= FEWEST_VIEWS_TO_OUTVOTE
         and suspicious <= OUTVOTED_SHARE * len(views),
     )
+
+
+def _with_occluders(
+    diagnosis: Diagnosis, points: Array, views: Sequence[View], of_views: Sequence[Finding]
+) -> Diagnosis:
+    """With what is hidden in the views that nothing else is wrong with."""
+    wrong = {number for finding in of_views for number in finding.views}
+    notes, hidden = list(diagnosis.notes), {}
+    for number, view in enumerate(views):
+        if number not in wrong and (found := symptoms.occluder(view, number, points)):
+            notes.append(found[0])
+            hidden[number] = found[1]
+    return replace(diagnosis, notes=tuple(notes), hidden=hidden)
 
 
 def _notes(

@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from .hypotheses import HYPOTHESES, Assumption
+from .assumptions import Assumption
+from .hypotheses import Hypothesis, hypothesis_called
 
 # What makes a result doubtful, apart from hypotheses.
 SUSPICIOUS_SYMPTOMS = {
     "box": "the mask is the bounding box of the object",
-    "occluder": "something hides a part of the object",
     "mispaired": "masks and cameras are paired wrongly",
 }
 # What is worth reading before a result is used.
 NOTES = {
+    "occluder": "something seems to hide {share:.0f} % of the object, so the mask counts nothing "
+    "there",
     "unsure-camera": "the fitted camera is unsure: {why}",
     "unsure-place": "the place of the cloud is unsure: {why}",
     "photo": "looks like a photo, grey in many places; expected a mask, light on the object and "
@@ -50,7 +52,7 @@ class Finding:
 
     Attributes
     ----------
-    name : of a hypothesis (`HYPOTHESES`) or of a symptom (`SYMPTOMS`).
+    name : of a hypothesis, of two that are joined by "+", or of a symptom (`SYMPTOMS`).
     views : numbers of the views that it is about; all views where it is about the whole input.
     score : IoU of cloud and masks in coarse cells if the hypothesis is right; 0 if unknown.
     gain : how much higher the score is than the IoU as the input is given.
@@ -75,15 +77,21 @@ class Finding:
 
         An unsure camera makes a result doubtful too, but nothing is known to be wrong with it.
         """
-        return self.name in HYPOTHESES or self.name in SUSPICIOUS_SYMPTOMS
+        return self.name not in NOTES
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """What is right if the finding is; () of a symptom."""
+        found = map(hypothesis_called, self.name.split("+"))
+        return tuple(one for one in found if one)
 
     @property
     def says(self) -> str:
         """In words, without the names of views."""
         if self.without:
             return f"the assumption {self.without.text} is wrong"
-        if self.name in HYPOTHESES:
-            return HYPOTHESES[self.name].says
+        if self.hypotheses:
+            return " and ".join(one.says for one in self.hypotheses)
         return SYMPTOMS[self.name].format(**self.values)
 
     def __str__(self) -> str:

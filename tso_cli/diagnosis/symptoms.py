@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.arrays import Array
+from ..geometry.arrays import Array, Bits
 from ..geometry.points import longest_side
 from ..geometry.view import View, is_grey_inside, object_box
-from .cells import Outline, on_known_pixels
+from .cells import CELLS, FEWEST_CELLS, Outline, dilated
 from .findings import Finding
-from .occlusion import occluded
 from .placement import Placement
 
 
@@ -34,6 +33,20 @@ class BoundingBox:
     CELLS = 10  # along the longer side of the cloud's box
     TAILS = 0.01  # of the points
     FEWEST_POINTS, FEWEST_PIXELS = 512, 16  # fewer, along the mask's shorter side, show no box
+
+
+class Occluder:
+    """Something in front of the object. Chosen on validation shapes behind walls and discs.
+
+    Of those that hide 30 % of the mask 66 % are found, of 306 right scenes none.
+    """
+
+    # Of the cloud's cells, at least this share is in one part, and touches no cell of the mask.
+    LEAST_SHARE = 0.12
+    # Length of the mean of unit vectors from the mask's middle to the cells of the part.
+    ONE_SIDED = 0.5
+    # Without the part the IoU is at least this, and higher by this.
+    LEAST_IOU, LEAST_GAIN = 0.65, 0.1
 
 
 # A cloud is implausibly near or far at a distance outside this range, in its longest sides.
@@ -114,7 +127,8 @@ def bounding_box(outline: Outline, view: View, number: int, points: Array) -> Fi
         return None
     if view.inside[top:bottom, left:right].mean() < BoundingBox.MASK_FILLED:
         return None
-    pixels = on_known_pixels(view.camera.project(points)[0], view)
+    pixels = view.camera.project(points)[0]
+    pixels = pixels[outline.visible(*pixels.T)]
     if len(pixels) < BoundingBox.FEWEST_POINTS:
         return None
     low, high = np.quantile(pixels, [BoundingBox.TAILS, 1.0 - BoundingBox.TAILS], axis=0)
@@ -127,7 +141,38 @@ def bounding_box(outline: Outline, view: View, number: int, points: Array) -> Fi
     return Finding("box", (number,))
 
 
-def occluder(view: View, number: int, points: Array) -> Finding | None:
-    """Something with a straight edge in front of the object, a cloud of ``points`` [N, 3]."""
-    score = occluded(on_known_pixels(view.camera.project(points)[0], view), view)
-    return None if score is None else Finding("occluder", (number,), score=score)
+def occluder(view: View, number: int, points: Array) -> tuple[Finding, Bits] | None:
+    """Something in front of the object, a cloud of ``points`` [N, 3], and the pixels it hides.
+
+    The cloud has a compact part outside the mask, and the rest of the cloud agrees with the mask.
+    """
+    outline = Outline(view)
+    cells = outline.cells[False]
+    x, y, _ = outline.project(points, [()])
+    covered = cells.covered(x, y, outline.visible(x, y))[0]
+    inside = np.pad(cells.inside, CELLS)
+    fewest = Occluder.LEAST_SHARE * covered.sum()
+    away = covered & ~dilated(inside)
+    if cells.count < FEWEST_CELLS or away.sum() <= fewest:
+        return None
+    from scipy.ndimage import label
+
+    outside = covered & ~inside
+    parts = label(outside, np.ones((3, 3)))[0]
+    part = parts == np.bincount(parts[outside]).argmax()
+    if (part & away).sum() <= fewest:
+        return None
+    # A cloud that is too large goes on at all sides.
+    aside = np.argwhere(part) - np.argwhere(inside).mean(0)
+    directions = aside / np.linalg.norm(aside, axis=1, keepdims=True)
+    if np.linalg.norm(directions.mean(0)) < Occluder.ONE_SIDED:
+        return None
+    before, rest = (
+        float((cloud & inside).sum() / (cloud | inside).sum())
+        for cloud in (covered, covered & ~part)
+    )
+    if rest < max(Occluder.LEAST_IOU, before + Occluder.LEAST_GAIN):
+        return None
+    hidden = cells.pixels_of(dilated(part), *view.mask.shape) & ~view.inside
+    share = 100.0 * float(part.sum() / covered.sum())
+    return Finding("occluder", (number,), rest, rest - before, values={"share": share}), hidden

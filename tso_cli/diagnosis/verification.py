@@ -14,8 +14,8 @@ from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
 from ..optimisation.symmetry import SymmetryCheck, SymmetryDecision, SymmetryOutcome
 from ..optimisation.view_weights import ViewWeights
+from .assumptions import Assumption, as_meant
 from .examine import Diagnosis
-from .hypotheses import HYPOTHESES, Assumption, as_meant
 
 # A weak hypothesis is confirmed if at most this share of the final loss remains under it.
 LOSS_LEFT = 0.62
@@ -46,7 +46,7 @@ def verify_hypothesis(
         return diagnosis
     start = problem.cloud.start
     weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start).loss
-    assumed = [Assumption(HYPOTHESES[weak.name])]
+    assumed = [Assumption(one) for one in weak.hypotheses]
     without_plane = problem.with_symmetry(SymmetryDecision("not_asked"))
     try:
         changed = without_plane.with_views(as_meant(view, assumed) for view in read)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..cloud.cloud import Cloud
+from ..diagnosis.assumptions import Assumption
 from ..diagnosis.findings import Finding
-from ..diagnosis.hypotheses import Assumption
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..kernels import blas

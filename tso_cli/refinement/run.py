@@ -7,7 +7,6 @@ from functools import partial
 
 from ..cloud.cloud import ControlledCloud
 from ..diagnosis.examine import Diagnosis, NoOverlapError, examine
-from ..diagnosis.hypotheses import HYPOTHESES
 from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypothesis, verify_plane
 from ..geometry.arrays import Array
@@ -47,6 +46,9 @@ def run(
     given, scene = scene.views, scene.after(move)
     with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)
+        scene = scene.without(diagnosis.hidden)
+        pairs = zip(given, scene.views, strict=True)
+        given = tuple(replace(view, known=seen.known) for view, seen in pairs)
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
     diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
@@ -100,7 +102,7 @@ def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock:
     except NoOverlapError as error:
         suspicious = error.diagnosis.suspicious
     for one in suspicious:
-        if one.name in HYPOTHESES and HYPOTHESES[one.name].mask:
+        if any(hypothesis.of_mask for hypothesis in one.hypotheses):
             return replace(move, why_unsure=f"perhaps {one.says} instead ({one.name})")
     return move
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..cloud.cloud import Cloud, as_numpy
+from ..diagnosis.assumptions import Assumption, as_meant, assumptions_of
 from ..diagnosis.findings import Finding
-from ..diagnosis.hypotheses import Assumption, as_meant, assumptions_of
 from ..errors import InputError
-from ..geometry.arrays import as_numbers
+from ..geometry.arrays import Bits, as_numbers
 from ..geometry.camera import Camera
 from ..geometry.view import View
 from ..pose.move import Move
@@ -38,6 +38,17 @@ class RefineScene:
     def views(self) -> tuple[View, ...]:
         """The views as they are meant, in the axes of the cloud."""
         return tuple(as_meant(view, self.assumptions) for view in self.read)
+
+    def without(self, hidden: Mapping[int, Bits]) -> RefineScene:
+        """The same scene, where ``hidden`` pixels [H, W] of views, by number, are unknown."""
+        if not hidden:
+            return self
+        views = list(self.views)
+        for number, pixels in hidden.items():
+            known = views[number].known
+            known = ~pixels if known is None else known & ~pixels
+            views[number] = replace(views[number], known=known)
+        return replace(self, read=tuple(views), assumptions=())
 
     def after(self, move: Move) -> RefineScene:
         """The same scene with the views of ``move``, which are as they are meant."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..cloud.cloud import Cloud
+from ..diagnosis.assumptions import Assumption, as_meant, assumptions_of, left_handed
 from ..diagnosis.findings import Finding
-from ..diagnosis.hypotheses import Assumption, as_meant, assumptions_of, left_handed
 from ..geometry.arrays import Array, Floats, Pixels
 from ..geometry.view import View
 from ..io.clouds import PointCloud, read_cloud
@@ -146,8 +146,8 @@ def _with_fitted_camera(
         body.colours,
     ).chosen(pose)
     # The fitted camera is in the axes of the cloud, whatever these are.
-    of_mask = tuple(one for one in assumptions if one.hypothesis.mask)
-    of_cloud = [one for one in assumptions if not one.hypothesis.mask]
+    of_mask = tuple(one for one in assumptions if one.hypothesis.of_mask)
+    of_cloud = [one for one in assumptions if not one.hypothesis.of_mask]
     read = replace(as_meant(read, of_cloud), camera=fitted.camera)
     known = (
         () if fitted.sure else (Finding("unsure-camera", (0,), values={"why": fitted.why_unsure}),)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..cloud.cloud import Cloud
+from ..diagnosis.assumptions import INVERTED, as_meant
 from ..diagnosis.findings import Finding
-from ..diagnosis.hypotheses import INVERTED, as_meant
 from ..diagnosis.symptoms import coarse, photo, specks
 from ..errors import InputError
 from ..geometry.arrays import Array, Pixels

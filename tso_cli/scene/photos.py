@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..diagnosis.hypotheses import as_meant, mask_changes
+from ..diagnosis.assumptions import as_meant, mask_change
 from ..errors import InputError
 from ..geometry.arrays import Box, Pixels
 from ..geometry.view import View
@@ -65,11 +65,8 @@ def _of_masks(scene: Scene, files: ViewFiles, fit: bool) -> list[Pixels | None]:
     pictured = replace(files, image=files.masks, depth=())
     photos: list[Pixels | None] = []
     for view in [view_without_camera(pictured)[0]] if fit else load_views(pictured)[0]:
-        changes = mask_changes(view, scene.given.assumptions)
-        image = view.image
-        assert image is not None
-        image = image[:, ::-1] if "left-right" in changes else image
-        image = image[::-1] if "upside-down" in changes else image
+        assert view.image is not None
+        image = mask_change(view, scene.given.assumptions).of(view.image)
         pixels = _meant(replace(view, image=image), scene)
         photos.append(pixels if _is_photo(pixels, _has_alpha(view.name)) else None)
     return photos

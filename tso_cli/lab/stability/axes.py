@@ -7,7 +7,7 @@ raises InputError. Gross mistakes undo a hypothesis of the diagnosis, which then
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter, shift
 
-from ...diagnosis.hypotheses import HYPOTHESES, Assumption, as_meant
+from ...diagnosis.assumptions import Assumption, as_meant
+from ...diagnosis.findings import Finding
+from ...diagnosis.hypotheses import HYPOTHESES, OF_WIDTH
 from ...geometry.camera import Array, Camera
 from ...geometry.points import farthest_point_sample
 from ...geometry.resampling import Box, area_resize
@@ -291,27 +293,46 @@ def _wider(case: Case) -> Case:
 
 # Gross mistakes: the input that a hypothesis of the diagnosis is right about.
 
-# The other hypotheses are their own inverse, up to the axes of a cloud.
-INVERSE = {"K-of-double-size": "K-of-half-size", "K-of-half-size": "K-of-double-size"}
+_YES: Levels = (1.0,)
+
+# What makes the mistake that a hypothesis is right about. The others are their own inverse.
+INVERSE = {
+    "pytorch3d": ("pix3d", "R-transposed"),
+    "opengl-camera-to-world": ("opengl", "camera-to-world"),
+    "mask-turned-left": ("mask-turned-right",),
+}
 
 
-def _mistake(name: str, hypothesis: str, level: float = 1.0, unit: str = "") -> Axis:
-    wrong = HYPOTHESES[hypothesis]
-    group: Group = "cloud" if wrong.of_cloud else "mask" if wrong.mask else "camera"
-    alter = partial(_mistaken, hypothesis)
-    return Axis(group, name, unit, (level,), alter, mistakes=(hypothesis,))
+def _mistake(name: str, mistake: str) -> Axis:
+    """``mistake`` : the name of a hypothesis, or of two that are joined by "+"."""
+    wrong = Finding(mistake).hypotheses[0]
+    group: Group = "cloud" if wrong.of_cloud else "mask" if wrong.of_mask else "camera"
+    alter = partial(_mistaken, mistake.split("+"))
+    return Axis(group, name, "", _YES, alter, mistakes=(mistake,))
 
 
-def _mistaken(hypothesis: str, case: Case, level: float, rng: Rng) -> Case:
-    inverse = HYPOTHESES[INVERSE.get(hypothesis, hypothesis)]
-    if inverse.of_cloud:
-        return _clouds(case, lambda points: points @ inverse.matrix)
-    if inverse.mask:
-        inside = (case.views[0].mask > 0.5).astype(np.float32)
-        view = replace(case.views[0], mask=inside)
-        return _first(case, mask=as_meant(view, [Assumption(inverse)]).mask)
-    case = _wider(case) if hypothesis == "principal-point-swapped" else case
-    return _with_cameras(case, (inverse.camera(view.camera) for view in case.views))
+def _mistaken(names: Sequence[str], case: Case, level: float, rng: Rng) -> Case:
+    for inverse in (HYPOTHESES[one] for name in names for one in INVERSE.get(name, (name,))):
+        if inverse.of_cloud:
+            case = _turned(case, inverse.matrix)
+        elif inverse.of_mask:
+            inside = (case.views[0].mask > 0.5).astype(np.float32)
+            view = replace(case.views[0], mask=inside)
+            case = _first(case, mask=as_meant(view, [Assumption(inverse)]).mask)
+        else:
+            case = _wider(case) if inverse.name == "principal-point-swapped" else case
+            case = _with_cameras(case, (inverse.camera(view.camera) for view in case.views))
+    return case
+
+
+def _width(name: str, times: float) -> Axis:
+    return replace(_camera(name, _TIMES, (times,), _of_width), mistakes=(OF_WIDTH,))
+
+
+def _of_width(camera: Camera, factor: float, rng: Rng) -> dict[str, Any]:
+    """K of the picture that is ``factor`` times as wide."""
+    size = (round(factor * length) for length in (camera.width, camera.height))
+    return {"K": camera.resized(*size).K}
 
 
 # Clouds: another start [N, 3], or the whole cloud in another frame.
@@ -329,6 +350,10 @@ def _start(
 def _clouds(case: Case, change: Callable[[Array], Array]) -> Case:
     initial, target, dense = map(change, (case.initial, case.target, case.dense))
     return replace(case, initial=initial, target=target, dense=dense)
+
+
+def _turned(case: Case, axes: Array) -> Case:
+    return _clouds(case, lambda points: points @ axes)
 
 
 def _in_units(case: Case, factor: float, rng: Rng, power: float = 1.0) -> Case:
@@ -528,7 +553,6 @@ _DILATED, _ERODED = partial(_edge_moved, outward=1.0), partial(_edge_moved, outw
 _BOTH: Fields = partial(_scaled, focal=True, distance=True)
 _IN_LARGER = partial(_in_units, power=-1.0)
 _CLOSE = partial(_with_outliers, spread=SPREAD_CLOSE)
-_YES: Levels = (1.0,)
 _UP, _DOWN = (2.0, 5.0, 10.0, 100.0, 1000.0), (0.5, 0.2, 0.1, 0.01, 0.001)
 _SIZES, _SIZE = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0), "% of the object's size"
 _SHARES, _AREA = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0), "% of its area"
@@ -562,6 +586,7 @@ AXES: tuple[Axis, ...] = (
     _mask("mask shifted", _SIZE, _SIZES, _shifted),
     _mistake("mask flipped left to right", "mask-flipped"),
     _mistake("mask upside down", "mask-upside-down"),
+    _mistake("mask turned by 180 degrees", "mask-turned"),
     _mistake("mask inverted", "mask-inverted"),
     Axis("mask", _OTHER, "", _YES, _of_other, needs_other=True),
     _mask("box in place of the mask", "", _YES, _boxed),
@@ -586,11 +611,13 @@ AXES: tuple[Axis, ...] = (
     _camera("focal length and distance", _TIMES, (1.1, 1.25, 1.5, 2.0, 5.0, 20.0), _BOTH),
     _camera("principal point", "% of the picture", (0.5, 1, 2, 5, 10, 25), _principal_point),
     _mistake("principal point's x and y exchanged", "principal-point-swapped"),
-    _mistake("K of twice the size", "K-of-double-size", 2.0, _TIMES),
-    _mistake("K of half the size", "K-of-half-size", 0.5, _TIMES),
+    _width("K of twice the size", 2.0),
+    _width("K of half the size", 0.5),
+    _width("K of another size", 4.05),
     _mistake("R transposed", "R-transposed"),
     _mistake("axes of OpenGL", "opengl"),
-    _mistake("axes of PyTorch3D", "pytorch3d"),
+    _mistake("axes of PyTorch3D", "pix3d"),
+    _mistake("R and T of PyTorch3D", "pytorch3d"),
     _mistake("camera-to-world for world-to-camera", "camera-to-world"),
     _camera("camera's x mirrored", "", _YES, _mirrored),
     Axis("camera", f"{_ONE_YAW}, beside a right one", "degrees", _DEGREES, _one_turned, masks=2),
@@ -599,6 +626,8 @@ AXES: tuple[Axis, ...] = (
     ),
     Axis("camera", "yaw before a thin object", "degrees", _DEGREES, _of_thin(_YAW)),
     Axis("camera", "camera moved aside, thin object", _SIZE, _SIZES, _of_thin(_moved)),
+    _mistake("cameras of Blender, cloud of glTF", "opengl-camera-to-world+cloud-y-up"),
+    _mistake("axes of OpenGL, cloud with z up", "opengl+cloud-z-up"),
     _mistake("cloud with z up", "cloud-z-up"),
     _mistake("cloud with x and z exchanged", "cloud-xz-swapped"),
     _mistake("cloud with axes in another order", "cloud-zxy"),

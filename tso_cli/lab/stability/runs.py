@@ -32,14 +32,15 @@ PIXELS_AT_ONCE = 3e7
 
 
 def findings_of(source: RefineResult | TsoError) -> tuple[str, ...]:
-    """The names of what a result or a refusal finds to be suspicious."""
+    """The names of what a result or a refusal finds to be suspicious, without their values."""
     findings: Sequence[Finding] = ()
     if isinstance(source, NoOverlapError):
         findings = source.diagnosis.suspicious
     elif isinstance(source, RefineResult):
         findings = [finding for finding in source.findings if finding.suspicious]
     # An assumption that is taken back names no mistake.
-    return tuple("" if finding.without else finding.name for finding in findings)
+    names = ("" if finding.without else finding.name for finding in findings)
+    return tuple(name.partition("=")[0] for name in names)
 
 
 @dataclass(frozen=True, eq=False)
