@@ -175,7 +175,6 @@ def _notes(
             found += [
                 symptoms.photo(view, number),
                 symptoms.scale(points, view, number),
-                symptoms.depth_unit(points, view, number),
             ]
         found += [
             symptoms.coarse(view, number, len(points)),

@@ -20,6 +20,7 @@ from ..pose.move import Move, unmoved
 from ..pose.placing import find_move
 from ..prior import named_prior
 from .clock import Clock
+from .depth_maps import move_and_settle
 from .judge import judge
 from .result import RefineResult
 from .scene import RefineScene
@@ -43,8 +44,8 @@ def run(
     with clock.phase("prepare"):
         prior = named_prior(settings.prior)
         cloud = scene.cloud.controlled(settings.points, scene.views)
-    move = _move(scene, cloud, settings, clock)
-    given, scene = scene.views, scene.after(move)
+    given = scene.views
+    move, scene = _moved(scene, cloud, settings, clock)
     with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)
         problem = prepare(cloud, scene.views, settings)
@@ -71,8 +72,7 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     clock = Clock()
     named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
-    move = _move(scene, cloud, settings, clock)
-    scene = scene.after(move)
+    move, scene = _moved(scene, cloud, settings, clock)
     diagnosis = _examined(scene, cloud, settings)
     if diagnosis.weak:
         problem = prepare(cloud, scene.views, settings)
@@ -80,6 +80,14 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     if clock.interrupted:
         raise KeyboardInterrupt
     return diagnosis, cloud, move
+
+
+def _moved(
+    scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock
+) -> tuple[Move, RefineScene]:
+    """What moves as one first, and the scene after it with depth maps along z."""
+    find = partial(_move, cloud=cloud, settings=settings, clock=clock)
+    return move_and_settle(scene, cloud.control_points, settings.move, find)
 
 
 def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock) -> Move:
