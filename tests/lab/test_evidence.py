@@ -7,7 +7,14 @@ import pytest
 
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.lab.studies.cases import CaseBuilder
-from tso_cli.lab.studies.evidence import Question, conclude, refine_rows, tables
+from tso_cli.lab.studies.evidence import (
+    PLANES,
+    Question,
+    conclude,
+    no_plane,
+    refine_rows,
+    tables,
+)
 from tso_cli.lab.studies.evidence_alterations import (
     Truth,
     paint_of,
@@ -113,7 +120,7 @@ def test_a_row_that_a_case_cannot_have_is_left_out_and_planes_are_counted(cases,
         "cars": (lambda case, *_: case if case.category == "car" else None, none),
         "as it is": (unaltered, auto),
     }
-    question = Question("Cars", ("other",), rows, ("car", "chair"), planes=True)
+    question = Question("Cars", ("other",), rows, ("car", "chair"), {PLANES: no_plane})
     records = [
         record
         for name in cases

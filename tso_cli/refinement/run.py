@@ -87,6 +87,10 @@ def _moved(
 ) -> tuple[Move, RefineScene]:
     """What moves as one first, and the scene after it with depth maps along z."""
     find = partial(_move, cloud=cloud, settings=settings, clock=clock)
+    if not settings.smooth:
+        # Depth maps are refused later.
+        move = find(scene)
+        return move, scene.after(move)
     return move_and_settle(scene, cloud.control_points, settings.move, find)
 
 
