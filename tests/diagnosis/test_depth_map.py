@@ -10,7 +10,7 @@ from scipy.stats import spearmanr
 
 from tests.scenes import Example, block, depth_of, example
 from tso_cli import Camera, View
-from tso_cli.diagnosis.depth_map import Surface, line, ray_lengths, settled, wrong_maps
+from tso_cli.diagnosis.depth_map import Surface, along_z, fitted, line, ray_lengths, wrong_maps
 
 from .common import EXAMPLES
 
@@ -151,12 +151,9 @@ def test_distance_along_the_ray_becomes_depth_exactly():
     row, column = np.indices(view.mask.shape)
     at = np.stack([column, row, np.ones_like(row)], -1) @ np.linalg.inv(view.camera.K).T
     distance = np.linalg.norm(at * view.depth[..., None], axis=-1)
-    # Nothing of the cloud is needed.
-    (found,), findings = settled(
-        np.zeros((1, 3)), [replace(view, depth=distance, depth_kind="ray")]
-    )
+    found = along_z(replace(view, depth=distance, depth_kind="ray"))
     np.testing.assert_allclose(found.depth, view.depth, rtol=1e-12)
-    assert (found.depth_kind, findings) == ("z", [])
+    assert found.depth_kind == "z"
 
 
 @given(scale=st.floats(1e-2, 1e4), shift=st.floats(-5.0, 5.0), inverse=st.booleans())
@@ -165,7 +162,7 @@ def test_two_unknown_numbers_are_found_where_the_cloud_is_right(scale, shift, in
     related = 1.0 / depth if inverse else depth
     kind = "inverse" if inverse else "affine"
     view = with_map("chair", scale * (related + shift), kind)
-    (found,), (finding,) = settled(CHAIR.target, [view])
+    (found,), (finding,) = fitted(CHAIR.target, [view])
     assert finding.name == "depth-fitted"
     assert finding.values["scale"] == pytest.approx(1.0 / scale, rel=0.1)
     assert np.nanmedian(np.abs(found.depth - depth)) < 0.01
@@ -175,13 +172,13 @@ def test_two_unknown_numbers_are_found_where_the_cloud_is_right(scale, shift, in
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_a_fit_to_another_shape_lies_near_the_true_surface(name):
     view = with_map(name, 255.0 / DEPTHS[name] - 30.0, "inverse")
-    (found,), _ = settled(SCENES[name].points, [view])
+    (found,), _ = fitted(SCENES[name].points, [view])
     assert np.nanmedian(np.abs(found.depth - DEPTHS[name])) < 0.06
 
 
 def test_a_map_that_rises_where_its_kind_falls_is_left_out():
     view = with_map("chair", DEPTHS["chair"], "inverse")
-    (found,), (finding,) = settled(CHAIR.points, [view])
+    (found,), (finding,) = fitted(CHAIR.points, [view])
     assert found.depth is None
     assert finding.name == "depth-unfitted"
     assert not finding.suspicious

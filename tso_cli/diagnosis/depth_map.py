@@ -166,21 +166,25 @@ def wrong_maps(points: Array, views: Sequence[View], any_size: bool = False) -> 
     return found
 
 
-def settled(points: Array, views: Sequence[View]) -> tuple[list[View], list[Finding]]:
-    """The views with maps of depth along z, and what was fitted; "auto" is taken for that.
+def along_z(view: View) -> View:
+    """The view with distances along the ray brought to depth along z."""
+    if view.depth is None or view.depth_kind != "ray":
+        return view
+    row, column = np.ogrid[: view.depth.shape[0], : view.depth.shape[1]]
+    return replace(view, depth=view.depth / ray_lengths(view, row, column), depth_kind="z")
 
-    ``points`` [N, 3] are those of a cloud in its place, to which maps are fitted that are known up
-    to two numbers. A map that cannot be fitted is left out.
+
+def fitted(points: Array, views: Sequence[View]) -> tuple[list[View], list[Finding]]:
+    """The views with the maps that are known up to two numbers fitted, and what was found.
+
+    ``points`` [N, 3] are those of a cloud in its place. A map that cannot be fitted is left out.
     """
-    rows = [_settled(points, view, number) for number, view in enumerate(views)]
+    rows = [_fitted(points, view, number) for number, view in enumerate(views)]
     return [view for view, _ in rows], [finding for _, finding in rows if finding]
 
 
-def _settled(points: Array, view: View, number: int) -> tuple[View, Finding | None]:
+def _fitted(points: Array, view: View, number: int) -> tuple[View, Finding | None]:
     kind, depth = view.depth_kind, view.depth
-    if depth is not None and kind == "ray":
-        row, column = np.ogrid[: depth.shape[0], : depth.shape[1]]
-        return replace(view, depth=depth / ray_lengths(view, row, column), depth_kind="z"), None
     if depth is None or kind not in FITTED:
         return view, None
     surface = Surface.of(points, view)
@@ -191,8 +195,8 @@ def _settled(points: Array, view: View, number: int) -> tuple[View, Finding | No
     if len(surface.depth) < FEWEST_BLOCKS or power * surface.rank < RELATED:
         return unfitted
     scale, shift = line(surface.values, surface.depth**power)
-    fitted = scale * depth + shift
-    depth = np.where(fitted > 0.0, fitted, np.nan) ** power
+    powers = scale * depth + shift
+    depth = np.where(powers > 0.0, powers, np.nan) ** power
     # Far from the cloud, small errors of the two numbers count for much.
     near, far = surface.depth.min() - surface.size, surface.depth.max() + surface.size
     depth = np.where((depth > near) & (depth < far), depth, np.nan)

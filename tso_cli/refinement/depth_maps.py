@@ -4,12 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
-from ..diagnosis.depth_map import settled, without_depth, wrong_maps
+from ..cloud.cloud import ControlledCloud
+from ..diagnosis.depth_map import along_z, fitted, without_depth, wrong_maps
+from ..diagnosis.findings import Finding
 from ..geometry.arrays import Array
 from ..geometry.view import FITTED, DepthKind
+from ..optimisation.learned_start import beginning
+from ..optimisation.optimise import weigh
+from ..optimisation.problem import prepare
+from ..optimisation.settings import Settings
 from ..pose.asked import Asked
 from ..pose.move import Move
+from ..prior import named_prior
+from .clock import Clock
 from .scene import RefineScene
 
 Find = Callable[[RefineScene], Move]
@@ -17,17 +26,42 @@ Find = Callable[[RefineScene], Move]
 ANYWHERE = ("pose", "similarity")
 
 
-def move_and_settle(
+def move_with_maps(
     scene: RefineScene, points: Array, asked: Asked, find: Find
 ) -> tuple[Move, RefineScene]:
-    """What moves as one, and the scene after it, with all depth maps along z.
+    """What moves as one, and the scene after it, without maps that turn out to be wrong.
 
-    ``find`` finds the move of a scene, of the kind that was ``asked`` for. Maps that are known up
-    to two numbers are fitted to the cloud, of ``points`` [N, 3], where the masks alone put it.
+    ``find`` finds the move of a scene, of the kind that was ``asked`` for. ``points`` [N, 3] are
+    of the cloud. All maps are along z then, except those that are known up to two numbers.
     """
-    scene = _tested(scene, points, asked, find)
-    move, placed = _placed(scene, points, find, FITTED)
-    return move, placed.with_views(*settled(points, placed.views))
+    return _placed(_tested(scene, points, asked, find), find, FITTED)
+
+
+def fit_maps(
+    scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock
+) -> tuple[RefineScene, list[Finding]]:
+    """The scene with all maps along z, after a move, and what was fitted.
+
+    Maps that are known up to two numbers are fitted to the cloud where the learned prior moves it
+    by the masks. Fitted to the start, which is of another shape, they would pull back to it.
+    """
+    held_back = [view.depth is not None and view.depth_kind in FITTED for view in scene.views]
+    if not any(held_back) or not settings.smooth:
+        return scene, []
+    points, prior = cloud.control_points, named_prior(settings.prior)
+    if prior is not None and settings.steps:
+        bare = [
+            without_depth(view) if held else view
+            for view, held in zip(scene.views, held_back, strict=True)
+        ]
+        weighed = weigh(prepare(cloud, bare, replace(settings, symmetry="none")), settings)
+        assert weighed.field is not None
+        of_start = weighed.problem, weighed.weights.loss, weighed.field, prior
+        begin = partial(beginning, *of_start, clock.until(settings.seconds))
+        if begun := clock.attempt("move", begin, None):
+            points = cloud.denormalise(begun.points)
+    views, found = fitted(points, scene.views)
+    return scene.with_views(views), found
 
 
 def _tested(scene: RefineScene, points: Array, asked: Asked, find: Find) -> RefineScene:
@@ -40,7 +74,7 @@ def _tested(scene: RefineScene, points: Array, asked: Asked, find: Find) -> Refi
         return scene
     found = [] if asked in ANYWHERE else wrong_maps(points, scene.views)
     if found or asked in ANYWHERE:
-        _, placed = _placed(scene, points, find, ("auto", *FITTED))
+        _, placed = _placed(scene, find, ("auto", *FITTED))
         found = wrong_maps(points, placed.views, any_size=asked == "similarity")
     wrong = [one.views[0] for one in found]
     views = [
@@ -53,12 +87,12 @@ def _tested(scene: RefineScene, points: Array, asked: Asked, find: Find) -> Refi
 
 
 def _placed(
-    scene: RefineScene, points: Array, find: Find, held_back: Sequence[DepthKind]
+    scene: RefineScene, find: Find, held_back: Sequence[DepthKind]
 ) -> tuple[Move, RefineScene]:
     """The move without the maps of some kinds, and the scene after it, with these maps again."""
     given = scene.views
     bare = [without_depth(view) if view.depth_kind in held_back else view for view in given]
-    scene = scene.with_views(settled(points, bare)[0])
+    scene = scene.with_views([along_z(view) for view in bare])
     move = find(scene)
     placed = scene.after(move)
     views = [
