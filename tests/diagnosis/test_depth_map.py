@@ -10,7 +10,8 @@ from scipy.stats import spearmanr
 
 from tests.scenes import Example, block, depth_of, example
 from tso_cli import Camera, View
-from tso_cli.diagnosis.depth_map import Surface, along_z, fitted, line, ray_lengths, wrong_maps
+from tso_cli.diagnosis.depth_kinds import along_z, fitted, line
+from tso_cli.diagnosis.depth_map import Surface, wrong_maps
 
 from .common import EXAMPLES
 
@@ -103,7 +104,7 @@ def test_distance_along_the_ray_is_named_with_a_wide_field_of_view_alone():
         points, view = wall(fov)
         rough = points + np.random.default_rng(0).normal(0.0, 0.02, points.shape)
         assert held(rough, view) == "z"
-        rays = ray_lengths(view, *np.indices(view.mask.shape))
+        rays = view.camera.ray_lengths(*np.indices(view.mask.shape))
         found[fov] = held(rough, replace(view, depth=view.depth * rays))
     assert found == {10.0: "z", 90.0: "ray"}
 

@@ -118,7 +118,9 @@ class Words:
 
     def note(self, finding: Finding) -> str:
         """A finding that is worth reading."""
-        of_views = self.depths if finding.name in OF_DEPTH_MAPS else self.names
+        of_views = self.names
+        if self.depths and finding.name in OF_DEPTH_MAPS:
+            of_views = self.depths
         names = ", ".join(of_views[view] for view in finding.views)
         option = OPTIONS_OF_NOTES.get(finding.name, "")
         if finding.name == "depth-unit":
@@ -126,7 +128,7 @@ class Words:
         return f"{f'{names}: ' if names else ''}{finding.says}{option}"
 
     def _scale(self, times: float) -> str:
-        """What mends a depth map of other units, whose values are so many ``times`` the depths."""
+        """What mends a depth map whose values are ``times`` the depths."""
         scale = self.depth_scale / times
         power = 10.0 ** round(math.log10(scale))
         if 1.0 / NEAR_TEN < scale / power < NEAR_TEN:

@@ -26,7 +26,7 @@ DepthKind = Literal["auto", "z", "inverse", "affine", "ray"]
 - ray: the distance from the camera along the ray, in the units of t.
 """
 FITTED: tuple[DepthKind, ...] = ("inverse", "affine")
-"""Kinds that are known up to two numbers, which the cloud tells."""
+"""Kinds that are known up to two numbers, which are fitted to the cloud."""
 
 
 class Speck:

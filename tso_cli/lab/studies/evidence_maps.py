@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...diagnosis.depth_map import Held, ray_lengths
+from ...diagnosis.depth_map import Held
 from ...diagnosis.findings import OF_DEPTH_MAPS
 from ...geometry.arrays import Array
 from ...geometry.camera import intrinsics
@@ -121,7 +121,7 @@ def _held(view: View, holds: str, truth: Truth, rng: Rng) -> Array:
         "depth from 0 to 1": lambda: (depth - low) / (high - low),
         "a depth + b": lambda: scale * (depth - shift * low),
         "millimetres": lambda: 1000.0 * depth,
-        "along the ray": lambda: depth * ray_lengths(view, *np.indices(depth.shape)),
+        "along the ray": lambda: depth * view.camera.ray_lengths(*np.indices(depth.shape)),
         # The shape on its side stands for another object.
         "another object": lambda: exact_depth(_lying(truth), view.camera),
         "flipped": lambda: depth[:, ::-1],
