@@ -235,7 +235,7 @@ STUDY = Study(
     reading="Each question alters cases in one way and compares rows that see the same random "
     "numbers. Right evidence helps: more masks, depth, a photo of an object whose colours are "
     "known. Where an object lacks a part that its start has, a mirror plane gains less, and does "
-    "harm to few. A depth map that holds something else does harm if it is used as it is.",
+    "harm to few.",
     convention=CONVENTION,
     options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
