@@ -42,7 +42,7 @@ RAY, LEAST_OFF = 0.5, 0.02
 MOST_OFF, MOST_BLOCKS = 0.55, 0.7
 # A dense map that is known on less of the mask is of another picture. In a dense map most known
 # pixels have a known neighbour.
-LEAST_COVERED, DENSE, FEWEST_PIXELS = 0.5, 0.8, 100
+LEAST_COVERED, DENSE, FEWEST_PIXELS = 0.6, 0.8, 100
 
 
 @dataclass(frozen=True, eq=False)
