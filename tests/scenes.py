@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
 from tso_cli import Camera, RefineConfig, View
@@ -45,6 +46,15 @@ def example(name: str) -> Example:
         camera,
         read_cloud(folder / "target.ply").points,
     )
+
+
+def depth_of(scene: Example) -> np.ndarray:
+    """Depths [H, W] of the true cloud, each drawn 9 px wide; NaN outside the mask."""
+    pixels, depth = scene.camera.project(scene.target)
+    nearest = np.full(scene.mask.shape, np.inf)
+    np.minimum.at(nearest, tuple(pixels.round().astype(int).T[::-1]), depth)
+    nearest = minimum_filter(nearest, 9)
+    return np.where(np.isfinite(nearest) & (scene.mask > 0.5), nearest, np.nan)
 
 
 def problem_of(points: np.ndarray, *views: View, symmetry: str = "none") -> Problem:

@@ -440,6 +440,7 @@ BAD = {
         "POINTS --depth-scale 0.001",
         "--depth-scale 0.001 --depth FILE",
     ),
+    "kind without a depth map": ("", "POINTS --depth-kind ray", "--depth-kind ray --depth FILE"),
     "depth, preset paper": (
         "",
         "POINTS --depth mask.png --preset paper",

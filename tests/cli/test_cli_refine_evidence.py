@@ -1,25 +1,23 @@
 """`tso refine --depth` with the depths of an example's target; `--image` with painted clouds."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from scipy.ndimage import minimum_filter
 
 from tests.painted import MASK, photo, sheet
+from tests.scenes import depth_of
 from tso_cli.io.clouds import read_cloud
 
 
 @pytest.fixture
 def depth_map(folder, chair):
-    """depth.png: depths of the target's nearest points, each drawn 9 px wide; 0 elsewhere."""
-    _, mask, camera, target = chair
-    pixels, depth = camera.project(target)
-    nearest = np.full(mask.shape, np.inf)
-    np.minimum.at(nearest, tuple(pixels.round().astype(int).T[::-1]), depth)
-    nearest = minimum_filter(nearest, 9)
-    depth = np.where(np.isfinite(nearest) & (mask > 0.5), nearest, 0.0)
+    """depth.png: depths of the true cloud in 10,000ths; 0 elsewhere."""
+    depth = np.nan_to_num(depth_of(chair))
     Image.fromarray((1e4 * depth).round().astype(np.uint16)).save("depth.png")
+    return depth
 
 
 def test_a_depth_map_takes_off_a_quarter_more_than_the_mask_alone(depth_map, chair, refine):
@@ -37,9 +35,79 @@ def test_a_depth_map_takes_off_a_quarter_more_than_the_mask_alone(depth_map, cha
     assert both < depth
 
 
-def test_a_depth_map_in_another_unit_is_warned_of(depth_map, refine):
-    run = refine("initial.ply", "mask.png", "--check", "--depth", "depth.png")
-    assert "is the scale of the depth map right? (--depth-scale)" in run.err
+@pytest.fixture
+def maps(depth_map):
+    """The same map held in other ways, in 16 bits; 0 where it is unknown."""
+    known = depth_map > 0.0
+    inverse = 1.0 / np.where(known, depth_map, 1.0)
+    for name, values in {
+        "inverse": 5e4 * (inverse - 0.2),
+        "affine": 3e4 * (depth_map - 0.95 * depth_map[known].min()),
+        "inverse_npy": inverse - 0.4,
+    }.items():
+        values = np.where(known, values, 0.0)
+        if name.endswith("npy"):
+            np.save("inverse.npy", values)
+        else:
+            Image.fromarray(values.round().astype(np.uint16)).save(f"{name}.png")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("inverse.png", "inverse.png: the map looks like inverse depth (rank correlation with the "
+         "cloud's depth -0.8"),
+        ("inverse.png", " and is ignored: try --depth-kind inverse"),
+        ("affine.png", "affine.png: the map looks like depth up to scale and shift"),
+        ("affine.png", " and is ignored: try --depth-kind affine"),
+        ("depth.png", "depth.png: the map's values are 9"),
+        ("depth.png", "times the cloud's depths, so it is ignored: try --depth-scale 0.0001"),
+        ("depth.png --depth-scale 0.1", ": try --depth-scale 0.0001"),
+    ],
+)  # fmt: skip
+def test_a_map_that_holds_something_else_is_ignored_with_a_word_what_mends_it(
+    maps, refine, words, line
+):
+    checked = refine("initial.ply", "mask.png", "--check", "--depth", *words.split())
+    assert line in checked.err
+    run = refine("initial.ply", "mask.png", "--json", "--depth", *words.split())
+    assert any(line in text for text in run.document["warnings"])
+    assert line in run.err
+    without = refine("initial.ply", "mask.png", "-o", "without.ply", "--json")
+    for name in ("confidence", "verdict", "loss_after", "iou_after"):
+        assert run.document[name] == without.document[name]
+
+
+@pytest.mark.parametrize("kind", ["inverse", "affine"])
+def test_a_map_of_a_known_kind_helps_nearly_as_much_as_depth(maps, chair, refine, kind):
+    plain = ("initial.ply", "mask.png", "--symmetry", "none", "--prior", "none", "-o")
+    refine(*plain, "mask.ply")
+    run = refine(*plain, "kind.ply", "--depth", f"{kind}.png", "--depth-kind", kind)
+    assert f"{kind}.png: the map of kind {kind} is fitted to the cloud: " in run.err
+    mask, mended = (chair.error(read_cloud(f"{name}.ply").points) for name in ("mask", "kind"))
+    assert mended < 0.85 * mask
+
+
+def test_a_map_is_used_as_told(maps, refine):
+    words = ("initial.ply", "mask.png", "--depth", "inverse.png", "--depth-kind", "z", "--json")
+    run = refine(*words)
+    assert not any("the map" in text for text in run.document["warnings"])
+    assert run.document["verdict"] != "improved"
+
+
+def test_a_negative_map_is_read_if_its_kind_is_told(maps, refine):
+    words = ("initial.ply", "mask.png", "--depth", "inverse.npy")
+    assert "expected 0 (unknown) or more, or another --depth-kind" in refine(*words).refusal
+    assert "is fitted to the cloud" in refine(*words, "--depth-kind", "inverse").err
+
+
+def test_a_manifest_gives_a_kind_to_each_map(maps, tso):
+    rows = ["cloud,mask,depth,depth-kind,output"]
+    rows += [f"initial.ply,mask.png,inverse.png,{kind},{kind}.ply" for kind in ("auto", "inverse")]
+    Path("items.csv").write_text("\n".join(rows))
+    assert tso("batch", "items.csv", "-o", "out").code == 0
+    first, second = (read_cloud(f"out/{kind}.ply").points for kind in ("auto", "inverse"))
+    assert not np.array_equal(first, second)
 
 
 @pytest.fixture

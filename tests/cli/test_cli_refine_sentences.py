@@ -153,10 +153,26 @@ def test_views_of_one_name_are_numbered():
 @pytest.mark.parametrize("name", NOTES)
 def test_a_note_names_its_view_and_the_option_that_mends_it(name):
     numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "times", "share"), 3.0)
-    numbers |= dict.fromkeys(("distance", "size", "observed", "nearest", "farthest", "count"), 3.0)
-    finding = Finding(name, (1,), values={**numbers, "why": "a face is degenerate"})
-    assert TWO.note(finding) == f"b.png: {finding.says}{OPTIONS_OF_NOTES.get(name, '')}"
-    assert TWO.note(replace(finding, views=())) == f"{finding.says}{OPTIONS_OF_NOTES.get(name, '')}"
+    numbers |= dict.fromkeys(("distance", "size", "count", "rank", "covered", "relief"), 3.0)
+    numbers |= dict.fromkeys(("off", "of_ray", "scale", "shift", "places"), 3.0)
+    words = dict.fromkeys(("why", "kind", "what"), "a face is degenerate")
+    finding = Finding(name, (1,), values={**numbers, **words})
+    option = OPTIONS_OF_NOTES.get(name, "")
+    if name == "depth-unit":
+        option = ": try --depth-scale 0.33, or --depth-kind affine"
+    assert TWO.note(finding) == f"b.png: {finding.says}{option}"
+    assert TWO.note(replace(finding, views=())) == f"{finding.says}{option}"
+
+
+@pytest.mark.parametrize(
+    ("given", "times", "scale"),
+    [(1.0, 993.0, "0.001"), (0.1, 9.1, "0.01"), (1.0, 5020.0, "0.0002, or"), (1.0, 0.1, "10")],
+)
+def test_a_depth_map_is_named_by_its_file_and_its_scale_is_rounded(given, times, scale):
+    words = Words(["a.png", "b.png"], depths=["near.npy", "far.npy"], depth_scale=given)
+    note = words.note(Finding("depth-unit", (1,), values={"times": times}))
+    assert note.startswith("far.npy: ")
+    assert f": try --depth-scale {scale}" in note
 
 
 def test_notes_leave_out_what_is_said_of_suspicious_findings():

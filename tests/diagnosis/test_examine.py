@@ -133,12 +133,11 @@ def test_notes_name_what_is_worth_reading(cloud):
     mask = block(np.s_[20:44, 20:44])
     mask[62, 60:63] = 1.0
     camera = Camera.canonical(64, 64)
-    depth = np.where(mask > 0.5, 900.0, np.nan)
     # Fewer points far away would be outliers.
     clump = np.random.default_rng(0).normal([0.0, 0.0, 3.0], 0.01, (300, 3))
-    view = View(mask, camera, depth=depth)
+    view = View(mask, camera)
     diagnosis = examined(np.vstack([cloud, clump]), [view])
-    expected = ["scale", "depth-unit", "specks", "behind"]
+    expected = ["scale", "specks", "behind"]
     assert named(diagnosis.notes) == [(name, (0,)) for name in expected]
     assert not any(note.suspicious for note in diagnosis.notes)
 

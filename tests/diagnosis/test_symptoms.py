@@ -143,21 +143,6 @@ def test_the_distance_of_an_orthographic_camera_says_nothing(cloud):
     assert symptoms.scale(1000.0 * cloud, view, 0) is None
 
 
-@pytest.mark.parametrize(("times", "found"), [(1.0, False), (0.6, False), (0.3, True), (1e3, True)])
-def test_a_depth_map_of_another_unit(cloud, times, found):
-    mask = block(np.s_[20:44, 20:44])
-    depth = np.where(mask > 0.5, times * CANONICAL.project(cloud)[1].mean(), np.nan)
-    finding = symptoms.depth_unit(cloud, View(mask, CANONICAL, depth=depth), 0)
-    assert bool(finding) == found
-    if found:
-        assert finding.values["observed"] == pytest.approx(np.nanmedian(depth))
-        assert finding.says.endswith("is the scale of the depth map right?")
-
-
-def test_without_a_depth_map_there_is_no_depth_of_another_unit(cloud):
-    assert symptoms.depth_unit(cloud, view_of(block(np.s_[20:44, 20:44])), 0) is None
-
-
 # Bounding boxes in place of masks
 
 

@@ -7,7 +7,14 @@ import pytest
 
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.lab.studies.cases import CaseBuilder
-from tso_cli.lab.studies.evidence import Question, conclude, refine_rows, tables
+from tso_cli.lab.studies.evidence import (
+    PLANES,
+    Question,
+    conclude,
+    no_plane,
+    refine_rows,
+    tables,
+)
 from tso_cli.lab.studies.evidence_alterations import (
     Truth,
     paint_of,
@@ -17,6 +24,7 @@ from tso_cli.lab.studies.evidence_alterations import (
     with_depth,
     without,
 )
+from tso_cli.lab.studies.evidence_maps import MAPS, with_fov, with_map
 from tso_cli.lab.studies.refining import Variant
 from tso_cli.lab.studies.shapes import shapes_of_part
 from tso_cli.optimisation.symmetry import find_mirror_plane
@@ -113,7 +121,7 @@ def test_a_row_that_a_case_cannot_have_is_left_out_and_planes_are_counted(cases,
         "cars": (lambda case, *_: case if case.category == "car" else None, none),
         "as it is": (unaltered, auto),
     }
-    question = Question("Cars", ("other",), rows, ("car", "chair"), planes=True)
+    question = Question("Cars", ("other",), rows, ("car", "chair"), {PLANES: no_plane})
     records = [
         record
         for name in cases
@@ -154,3 +162,27 @@ def test_the_summary_is_of_the_cases_own_ratios():
     (table,) = tables(summary)
     assert table.title == "Depth maps"
     assert [row[:5] for row in table.rows] == [["other", "mask", 3, 0.86667, 1.1]]
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_a_wrong_map_holds_what_its_row_says(name, cases, truths):
+    case, truth = cases["chair"], truths["chair"]
+    holds, called, fov = MAPS[name]
+    seen = case if fov is None else with_fov(case, truth, rng(), fov)
+    view = with_map(seen, truth, rng(), holds).views[0]
+    true = with_depth(seen, truth, rng()).views[0].depth
+    known = view.inside & np.isfinite(view.depth) & np.isfinite(true)
+    held, depth = view.depth[known], true[known]
+    rays = view.camera.ray_lengths(*np.nonzero(known))
+    # What is constant in a map of this kind.
+    ratios = {"unit": held / depth, "ray": held / depth / rays}
+    lines = {"inverse": 1.0 / depth, "affine": depth}
+    if called in ratios:
+        np.testing.assert_allclose(ratios[called], ratios[called][0], rtol=1e-4)
+    elif called in lines:
+        assert np.corrcoef(held, lines[called])[0, 1] == pytest.approx(1.0, abs=1e-6)
+    else:
+        assert np.median(np.abs(held - depth)) > 0.01
+    if fov:
+        across = np.ptp(np.argwhere(view.mask > 0.5), axis=0).max()
+        assert across > 0.8 * view.camera.width

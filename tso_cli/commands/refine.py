@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 
 from ..errors import InputError
+from ..geometry.depth_kind import DepthKind
 from ..optimisation.presets import MODES, PRESETS
 from ..pose.asked import ASKED, KEEPS
 from . import options
@@ -215,6 +216,14 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     type=float,
     help="Size of one step of the depth map in units of the camera; 0.001 for millimetres and "
     "metres.  [default: 1]",
+)
+@click.option(
+    "--depth-kind",
+    type=click.Choice(get_args(DepthKind)),
+    default="auto",
+    help="What the depth map holds: depth along z; inverse (disparity) or affine depth, up to "
+    "scale and shift; or distance along the ray. `auto`: along z, and ignored if the cloud shows "
+    "another kind.",
 )
 @click.option(
     "--image",

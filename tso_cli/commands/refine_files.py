@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from ..diagnosis.assumptions import INVERTED, assumptions_of
 from ..errors import InputError
 from ..geometry.arrays import Array, Pixels
+from ..geometry.depth_kind import DepthKind
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
 from ..io.clouds import check_suffix, write_cloud
 from ..io.masks import MaskChoice, masks_in
@@ -64,6 +65,7 @@ class InputOptions:
     ignore: tuple[Path, ...]
     depth: tuple[Path, ...]
     depth_scale: float | None
+    depth_kind: DepthKind
     image: tuple[Path, ...]
     checkpoint: Path | None
     prior: Path | None
@@ -130,6 +132,11 @@ class InputOptions:
         if self.depth_scale is not None and not self.depth:
             raise InputError(
                 f"--depth-scale {self.depth_scale:g} says nothing without a depth map, expected "
+                "--depth FILE"
+            )
+        if self.depth_kind != "auto" and not self.depth:
+            raise InputError(
+                f"--depth-kind {self.depth_kind} says nothing without a depth map, expected "
                 "--depth FILE"
             )
         if self.depth and self.fit:
@@ -213,6 +220,7 @@ class RefineInputs(InputOptions):
             ignore=self.ignore,
             depth=self.depth,
             depth_scale=self.depth_scale or 1.0,
+            depth_kind=self.depth_kind,
             image=self.image,
         )
 

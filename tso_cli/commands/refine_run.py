@@ -100,7 +100,12 @@ class RefineRun:
         self._config = self._configured(chosen)
         self._settings = self._config.settings(len(self._scene.views))
         names = [view.name for view in self._scene.views]
-        self._words = Words(names, self._inputs.invert_mask)
+        self._words = Words(
+            names,
+            self._inputs.invert_mask,
+            [str(file) for file in self._inputs.depth],
+            self._inputs.depth_scale or 1.0,
+        )
 
     def check(self) -> int:
         """Examine the input alone; the exit code."""

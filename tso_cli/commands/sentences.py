@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from ..diagnosis.assumptions import INVERTED, Assumption
 from ..diagnosis.confidence import FINDING
 from ..diagnosis.examine import IN_PIXELS, NoOverlapError
-from ..diagnosis.findings import Finding
+from ..diagnosis.findings import OF_DEPTH_MAPS, Finding
 from ..diagnosis.placement import describe_box
 from ..errors import InputError
 from ..refinement import RefineResult
@@ -37,20 +38,30 @@ VERDICTS = {
 # Options that mend what a note says.
 OPTIONS_OF_NOTES = {
     "occluder": " (--ignore FILE, to say what is hidden)",
-    "depth-unit": " (--depth-scale)",
+    "depth-inverse": ": try --depth-kind inverse",
+    "depth-affine": ": try --depth-kind affine",
+    "depth-ray": ": try --depth-kind ray",
+    "depth-unrelated": " (--depth-kind z uses it all the same)",
     "rescaled": " (--depth-scale)",
     "assumed-picture": " (--camera FILE)",
     "unsure-place": " (`alternatives` in --json has the other places)",
 }
+# A factor of units is taken for a power of ten if it differs by less than this factor.
+NEAR_TEN = 1.25
 ADVICE_OF_CAMERA = " (--move camera, or --move pose if the cloud is turned)"
 
 
 @dataclass(frozen=True)
 class Words:
-    """Makes sentences about views with these ``names``; ``inverted`` by --invert-mask."""
+    """Makes sentences about views with these ``names``; ``inverted`` by --invert-mask.
+
+    depths : the files of their depth maps, if there are some. depth_scale : as it was given.
+    """
 
     names: Sequence[str]
     inverted: bool = False
+    depths: Sequence[str] = ()
+    depth_scale: float = 1.0
 
     def suspicion(self, findings: Sequence[Finding]) -> str:
         """What may be wrong with the input, and what to try; "" without findings."""
@@ -109,10 +120,22 @@ class Words:
 
     def note(self, finding: Finding) -> str:
         """A finding that is worth reading."""
-        names = ", ".join(self.names[view] for view in finding.views)
-        return (
-            f"{f'{names}: ' if names else ''}{finding.says}{OPTIONS_OF_NOTES.get(finding.name, '')}"
-        )
+        of_views = self.names
+        if self.depths and finding.name in OF_DEPTH_MAPS:
+            of_views = self.depths
+        names = ", ".join(of_views[view] for view in finding.views)
+        option = OPTIONS_OF_NOTES.get(finding.name, "")
+        if finding.name == "depth-unit":
+            option = self._scale(float(finding.values["times"]))
+        return f"{f'{names}: ' if names else ''}{finding.says}{option}"
+
+    def _scale(self, times: float) -> str:
+        """What mends a depth map whose values are ``times`` the depths."""
+        scale = self.depth_scale / times
+        power = 10.0 ** round(math.log10(scale))
+        if 1.0 / NEAR_TEN < scale / power < NEAR_TEN:
+            return f": try --depth-scale {power:g}"
+        return f": try --depth-scale {scale:.2g}, or --depth-kind affine"
 
     def notes(self, findings: Sequence[Finding]) -> list[str]:
         """A sentence for each finding that is no suspicion."""

@@ -145,7 +145,7 @@ def _explained(
         diagnosis,
         of_input=found.of_input,
         of_views=of_views,
-        weak=found.weak,
+        weak=None if diagnosis.hidden else found.weak,
         explanation=found,
         most_confidence=most_confidence,
         outvoted=bool(of_views)
@@ -187,7 +187,6 @@ def _notes(
             found += [
                 symptoms.photo(view, number),
                 symptoms.scale(points, view, number),
-                symptoms.depth_unit(points, view, number),
             ]
         found += [
             symptoms.coarse(view, number, len(points)),

@@ -13,8 +13,25 @@ SUSPICIOUS_SYMPTOMS = {
     "box": "the mask is the bounding box of the object",
     "mispaired": "masks and cameras are paired wrongly",
 }
+# What a depth map holds.
+OF_DEPTH_MAPS = {
+    "depth-inverse": "the map looks like inverse depth (rank correlation with the cloud's depth "
+    "{rank:.2f}) and is ignored",
+    "depth-affine": "the map looks like depth up to scale and shift (rank correlation with the "
+    "cloud's depth {rank:.2f}, relief {relief:.2g} times the cloud's in one unit) and is ignored",
+    "depth-ray": "the map looks like distance along the ray ({of_ray:.1%} of the cloud's size off, "
+    "as depth along z {off:.1%}) and is ignored",
+    "depth-unit": "the map's values are {times:.3g} times the cloud's depths, so it is ignored",
+    "depth-unrelated": "the map does not fit the cloud or is of another picture (rank correlation "
+    "with the cloud's depth {rank:.2f}, known on {covered:.0%} of the mask) and is ignored",
+    "depth-fitted": "the map of kind {kind} is fitted to the cloud: {what} = {scale:.4g} x value "
+    "{shift:+.4g} (rank correlation with the cloud's depth {rank:.2f})",
+    "depth-unfitted": "the map of kind {kind} cannot be fitted to the cloud (rank correlation with "
+    "the cloud's depth {rank:.2f} in {places} places) and is ignored",
+}
 # What is worth reading before a result is used.
 NOTES = {
+    **OF_DEPTH_MAPS,
     "occluder": "something seems to hide {share:.0f} % of the object, so the mask counts nothing "
     "there",
     "unsure-camera": "the fitted camera is unsure: {why}",
@@ -31,8 +48,6 @@ NOTES = {
     "{weight:.2f} of 1); is its mask or camera wrong?",
     "scale": "the cloud's longest side is {size:.3g} and its distance from the camera "
     "{distance:.3g}; are both in one unit?",
-    "depth-unit": "the median depth on the object is {observed:.3g}, the cloud's depths are "
-    "{nearest:.3g} to {farthest:.3g}; is the scale of the depth map right?",
     "rescaled": "the depth map asks for a cloud {times:.3g} times as large; are both in one unit?",
     "assumed-picture": "the network infers sizes from the whole picture, which without a camera "
     "file is taken for a picture of the canonical camera",

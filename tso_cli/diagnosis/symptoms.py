@@ -51,8 +51,6 @@ class Occluder:
 
 # A cloud is implausibly near or far at a distance outside this range, in its longest sides.
 PLAUSIBLE_DISTANCES = (0.2, 1000.0)
-# A depth map is of another unit if its median is outside the depths of the cloud by this factor.
-DEPTH_FACTOR = 2.0
 
 
 def photo(view: View, number: int) -> Finding | None:
@@ -102,19 +100,6 @@ def scale(points: Array, view: View, number: int) -> Finding | None:
     if nearest < distance / size < farthest:
         return None
     return Finding("scale", (number,), values={"size": size, "distance": distance})
-
-
-def depth_unit(points: Array, view: View, number: int) -> Finding | None:
-    """A depth map that disagrees with the cloud [N, 3] by a factor."""
-    if view.depth is None:
-        return None
-    observed = float(np.nanmedian(np.where(view.mask > 0.5, view.depth, np.nan)))
-    depth = view.camera.project(points)[1]
-    nearest, farthest = float(depth.min()), float(depth.max())
-    if nearest / DEPTH_FACTOR < observed < DEPTH_FACTOR * farthest:
-        return None
-    values = {"observed": observed, "nearest": nearest, "farthest": farthest}
-    return Finding("depth-unit", (number,), values=values)
 
 
 def bounding_box(outline: Outline, view: View, number: int, points: Array) -> Finding | None:

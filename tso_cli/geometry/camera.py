@@ -130,6 +130,12 @@ class Camera:
                 plane = np.where(depth[:, None] > 0.0, plane / depth[:, None], np.nan)
         return plane @ self.K[:2, :2].T + self.K[:2, 2], depth
 
+    def ray_lengths(self, row: Array, column: Array) -> Array:
+        """Lengths of the rays through pixels, up to depth 1; ``row`` and ``column`` broadcast."""
+        y = (row - self.K[1, 2]) / self.K[1, 1]
+        x = (column - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0]
+        return np.asarray(np.sqrt(x * x + y * y + 1.0))
+
     def project_visible(self, points: Array) -> tuple[Array, Array, Bits]:
         """As `project`, and which of the points [N] are visible.
 

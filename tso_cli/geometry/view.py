@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from .arrays import Array, Bits, Box, Floats, Indices, as_numbers
 from .camera import Camera
+from .depth_kind import FITTED, DepthKind
 
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15
@@ -33,10 +35,12 @@ class View:
     mask : [H, W] in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
     known : [H, W], False where the mask says nothing; None if every pixel counts.
     name : what messages call the view, usually the file of the mask.
-    depth : [H, W] of the surface along the camera's z axis, in the units of the camera's t. 0 and
-        values that are not finite are unknown. Only the depth of foreground pixels counts.
+    depth : [H, W] of the surface along the camera's z axis, in the units of the camera's t, or
+        what ``depth_kind`` says. 0 and values that are not finite are unknown. Only the depth of
+        foreground pixels counts.
     image : [H, W, 3] red, green, blue in [0, 1], the photo that was masked; for clouds with
         colours.
+    depth_kind : what the depth map holds (`DepthKind`).
 
     Raises InputError if a size, a value or the camera does not fit, or if the mask is all
     foreground or all background.
@@ -48,6 +52,7 @@ class View:
     name: str = "mask"
     depth: Array | None = None
     image: Floats | None = None
+    depth_kind: DepthKind = "auto"
 
     def __post_init__(self) -> None:
         mask: Floats = as_numbers(self.mask, f"{self.name}: the mask", np.float32)
@@ -66,6 +71,11 @@ class View:
             raise InputError(
                 f"{self.name}: the mask is {width}x{height}, its camera is for "
                 f"{self.camera.width}x{self.camera.height} (width x height), expected the same"
+            )
+        if self.depth_kind not in get_args(DepthKind):
+            raise InputError(
+                f"{self.name}: the kind of its depth map is {self.depth_kind!r}, expected one of "
+                f"{', '.join(get_args(DepthKind))}"
             )
         if self.depth is not None:
             object.__setattr__(self, "depth", self._checked_depth(self.depth))
@@ -105,19 +115,19 @@ class View:
                 "expected perspective for a depth map"
             )
         depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
-        if np.nanmin(depth, initial=np.inf) < 0.0:
+        if np.nanmin(depth, initial=np.inf) < 0.0 and self.depth_kind not in FITTED:
             raise InputError(
                 f"{self.name}: the smallest depth is {np.nanmin(depth):g}, "
-                "expected 0 (unknown) or more"
+                "expected 0 (unknown) or more, or another `depth_kind`"
             )
-        if np.nanmax(depth, initial=0.0) > LARGEST_DEPTH:
+        if np.nanmax(np.abs(depth), initial=0.0) > LARGEST_DEPTH:
             raise InputError(
-                f"{self.name}: the largest depth is {np.nanmax(depth):g}, "
+                f"{self.name}: the largest depth is {np.nanmax(np.abs(depth)):g}, "
                 f"expected at most {LARGEST_DEPTH:g}"
             )
         known = np.isfinite(depth) & (self.mask > 0.5)
         if not (known if self.known is None else known & self.known).any():
-            raise InputError(f"{self.name}: no foreground pixel has a depth, expected some > 0")
+            raise InputError(f"{self.name}: no foreground pixel has a depth, expected some")
         return depth
 
     def _checked_image(self, image: Floats) -> Floats:

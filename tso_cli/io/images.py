@@ -42,11 +42,12 @@ DIAGONAL_OF_FILM = 43.27
 MOST_SHARE = 50.0
 
 
-def read_depth(path: Path, scale: float = 1.0, upright: bool = True) -> Array:
+def read_depth(path: Path, scale: float = 1.0, upright: bool = True, signed: bool = False) -> Array:
     """Read a depth map [H, W] from a picture of one grey channel or a .npy file.
 
     The values of the file times ``scale`` are in units of the camera. 0, NaN and infinity mean
-    unknown and become NaN. Raises InputError if the file is not such a map, or a depth is negative.
+    unknown and become NaN. Raises InputError if the file is not such a map, or if a depth is
+    negative and not ``signed``.
     """
     data = read_bytes(path, "a depth map", FILE_LIMIT)
     if path.suffix.lower() == ".npy":
@@ -62,11 +63,14 @@ def read_depth(path: Path, scale: float = 1.0, upright: bool = True) -> Array:
         depth = values.astype(np.float64)
     depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
     least = np.nanmin(depth, initial=np.inf)
-    if least < 0.0:
-        raise InputError(f"{path}: its smallest depth is {least:g}, expected 0 (unknown) or more")
+    if least < 0.0 and not signed:
+        raise InputError(
+            f"{path}: its smallest depth is {least:g}, expected 0 (unknown) or more, or another "
+            "`depth_kind`"
+        )
     if least == np.inf:
         raise InputError(f"{path}: holds no depth > 0, expected some (0 means unknown)")
-    largest = float(np.nanmax(depth)) * scale
+    largest = float(np.nanmax(np.abs(depth))) * scale
     if not 1.0 / LARGEST_DEPTH <= largest <= LARGEST_DEPTH:
         expected = (
             f"at least {1.0 / LARGEST_DEPTH:g}" if largest < 1.0 else f"at most {LARGEST_DEPTH:g}"

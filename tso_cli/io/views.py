@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array
 from ..geometry.camera import Camera, intrinsics
+from ..geometry.depth_kind import FITTED, DepthKind
 from ..geometry.distortion import Distortion, undistorted
 from ..geometry.view import View
 from .cameras import (
@@ -50,6 +51,7 @@ class ViewFiles:
     choice : which object of a mask file is meant.
     any_size : images may be larger or smaller than their masks, and are resized.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
+    depth_kind : as in `View`.
     """
 
     masks: Sequence[Path]
@@ -62,6 +64,7 @@ class ViewFiles:
     ignore: Sequence[Path] = ()
     depth: Sequence[Path] = ()
     depth_scale: float = 1.0
+    depth_kind: DepthKind = "auto"
     image: Sequence[Path] = ()
     choice: MaskChoice = MaskChoice()
     any_size: bool = False
@@ -366,10 +369,11 @@ def with_depth_and_images(
             return size[::-1] == shape
 
         if depth_file is not None:
-            read = partial(read_depth, depth_file, files.depth_scale)
+            signed = files.depth_kind in FITTED
+            read = partial(read_depth, depth_file, files.depth_scale, signed=signed)
             depth, more = _raster(depth_file, read, of_mask, as_stored)
             require_same_size(depth_file, depth.shape, view.name, shape)
-            view = replace(view, depth=depth)
+            view = replace(view, depth=depth, depth_kind=files.depth_kind)
             notes += more
         if image_file is not None:
             view, more = _with_image(view, image_file, files.any_size, as_stored)

@@ -19,6 +19,7 @@ from ..pose.move import Move, unmoved
 from ..pose.placing import find_move
 from ..prior import named_prior
 from .clock import Clock
+from .depth_maps import fit_maps, move_with_maps
 from .judge import judge
 from .result import RefineResult
 from .scene import RefineScene
@@ -42,13 +43,15 @@ def run(
     with clock.phase("prepare"):
         prior = named_prior(settings.prior)
         cloud = scene.cloud.controlled(settings.points, scene.views)
-    move = _move(scene, cloud, settings, clock)
-    given, scene = scene.views, scene.after(move)
+    given = scene.views
+    move, scene = _moved(scene, cloud, settings, clock)
     with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)
         scene = scene.without(diagnosis.hidden)
         pairs = zip(given, scene.views, strict=True)
         given = tuple(replace(view, known=seen.known) for view, seen in pairs)
+    scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
+    with clock.phase("prepare"):
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
     diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
@@ -73,15 +76,39 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     clock = Clock()
     named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
-    move = _move(scene, cloud, settings, clock)
-    scene = scene.after(move)
+    move, scene = _moved(scene, cloud, settings, clock)
     diagnosis = _examined(scene, cloud, settings)
+    scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
     if diagnosis.weak:
         problem = prepare(cloud, scene.views, settings)
         diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
     return diagnosis, cloud, move
+
+
+def _moved(
+    scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock
+) -> tuple[Move, RefineScene]:
+    """What moves as one first, and the scene after it without wrong depth maps."""
+    find = partial(_move, cloud=cloud, settings=settings, clock=clock)
+    if not settings.smooth:
+        # Depth maps are refused later.
+        move = find(scene)
+        return move, scene.after(move)
+    return move_with_maps(scene, cloud.control_points, settings.move, find)
+
+
+def _fitted(
+    scene: RefineScene,
+    cloud: ControlledCloud,
+    diagnosis: Diagnosis,
+    settings: Settings,
+    clock: Clock,
+) -> tuple[RefineScene, Diagnosis]:
+    """The scene with depth maps along z, and the diagnosis with what was fitted."""
+    scene, found = fit_maps(scene, cloud, settings, clock)
+    return scene, replace(diagnosis, notes=(*found, *diagnosis.notes))
 
 
 def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock) -> Move:

@@ -27,17 +27,23 @@ class RefineScene:
     """A cloud and its views, as they were read.
 
     assumptions : how they are meant. known : findings of those who read them.
+    settled : the views as they are meant, with depth maps along z; () before these are known.
     """
 
     cloud: Cloud
     read: tuple[View, ...]
     assumptions: tuple[Assumption, ...] = ()
     known: tuple[Finding, ...] = ()
+    settled: tuple[View, ...] = ()
 
     @cached_property
     def views(self) -> tuple[View, ...]:
         """The views as they are meant, in the axes of the cloud."""
-        return tuple(as_meant(view, self.assumptions) for view in self.read)
+        return self.settled or tuple(as_meant(view, self.assumptions) for view in self.read)
+
+    def with_views(self, views: Sequence[View], found: Sequence[Finding] = ()) -> RefineScene:
+        """The same scene with other depth maps in its views, and with what was ``found``."""
+        return replace(self, settled=tuple(views), known=(*self.known, *found))
 
     def without(self, hidden: Mapping[int, Bits]) -> RefineScene:
         """The same scene, where ``hidden`` pixels [H, W] of views, by number, are unknown."""
@@ -48,7 +54,7 @@ class RefineScene:
             known = views[number].known
             known = ~pixels if known is None else known & ~pixels
             views[number] = replace(views[number], known=known)
-        return replace(self, read=tuple(views), assumptions=())
+        return self.with_views(views)
 
     def after(self, move: Move) -> RefineScene:
         """The same scene with the views of ``move``, which are as they are meant."""
@@ -56,11 +62,12 @@ class RefineScene:
             return self
         known = self.known
         times = move.size
-        if any(view.depth is not None for view in self.read) and max(times, 1.0 / times) > RESCALED:
+        with_depth = any(view.depth is not None for view in self.views)
+        if with_depth and max(times, 1.0 / times) > RESCALED:
             known += (Finding("rescaled", values={"times": times}),)
         if move.why_unsure:
             known += (Finding("unsure-place", values={"why": move.why_unsure}),)
-        return replace(self, read=move.views, assumptions=(), known=known)
+        return replace(self, read=move.views, assumptions=(), known=known, settled=())
 
 
 def as_scene(

@@ -72,12 +72,17 @@ def look_at(azimuth: float, elevation: float, distance: float, size: tuple[int, 
     return replace(Camera.canonical(*size), R=R, t=np.array([0.0, 0.0, distance]))
 
 
-def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX) -> float:
+def fitting_distance(
+    vertices: Array,
+    camera: Camera,
+    margin: float = MARGIN_PX,
+    least: float = CANONICAL_DISTANCE,
+) -> float:
     """The distance of ``camera`` from the origin at which ``vertices`` [V, 3] fit into its picture.
 
-    It is the smallest distance d, at least 2, that leaves ``margin`` pixels on every side. With x,
-    z the coordinates of a vertex in the camera's axes, |fx x| / (z + d) <= W/2 - margin holds for
-    d >= |fx x| / (W/2 - margin) - z, and likewise for y.
+    It is the smallest distance d, at least ``least``, that leaves ``margin`` pixels on every side.
+    With x, z the coordinates of a vertex in the camera's axes, |fx x| / (z + d) <= W/2 - margin
+    holds for d >= |fx x| / (W/2 - margin) - z, and likewise for y.
     """
     half = np.array([camera.width, camera.height]) / 2.0
     half -= np.minimum(margin, half / 4.0)
@@ -85,7 +90,7 @@ def fitting_distance(vertices: Array, camera: Camera, margin: float = MARGIN_PX)
     distances = np.abs(rotated[:, :2]) * camera.K[[0, 1], [0, 1]] / half - rotated[:, 2:]
     # The last term keeps vertices on the optical axis in front of the camera, by a hundredth of the
     # mesh's longest side.
-    return float(max(CANONICAL_DISTANCE, distances.max(), 0.01 - rotated[:, 2].min()))
+    return float(max(least, distances.max(), 0.01 - rotated[:, 2].min()))
 
 
 def sample_cameras(

@@ -33,13 +33,19 @@ class MaskLoss:
         no gradient.
     cells : along each side of the window around the object, to which masks are resampled.
 
-    Raises InputError if no cell of a window is known to be foreground.
+    Raises InputError if no cell of a window is known to be foreground, or if a depth map is not
+    along z.
     """
 
     def __init__(
         self, views: View | Sequence[View], robust_scale: float = ROBUST_SCALE, cells: int = CELLS
     ) -> None:
         several = [views] if isinstance(views, View) else list(views)
+        for view in several:
+            if view.depth is not None and view.depth_kind not in ("auto", "z"):
+                raise InputError(
+                    f"{view.name}: its depth map is of kind {view.depth_kind}, expected z"
+                )
         resampled = [
             resample_view(view, SIGMA_SQ, np.zeros(3), 1.0, cells=cells) for view in several
         ]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -12,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from ...evaluation.metrics import chamfer
-from ...refinement import RefineConfig
+from ...refinement import RefineConfig, RefineResult
 from .. import options
 from ..charts import Panel, draw_ratios
 from ..study import Cases, Plan, Progress, Record, Study, Table
+from . import evidence_maps
 from .cases import Case, CaseBuilder, kinds_of
 from .evidence_alterations import Alter, Truth, painted, unaltered, with_depth, without
 from .refining import Variant, refined
@@ -24,12 +26,14 @@ from .summary import grouped, rounded, summarised
 
 SIZE, POINTS = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
-PLANES = "no mirror plane"
+PLANES, NAMED, IGNORED = "no mirror plane", "named", "ignored"
 CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' ratios; squared distances, mean "
     "over points, forward + backward, longest side 1, to as many target points; worse: cases with "
     "a ratio over 1",
     PLANES: "share of the cases whose refinement used none",
+    NAMED: "share of the cases in which it was said what the depth map holds",
+    IGNORED: "share of the cases in which the depth map was left out",
 }
 FIGURES = {"cases": "cases", "mean_ratio": "ratio", "worst_ratio": "worst", "worse": "worse"}
 ALL = "all"
@@ -41,14 +45,19 @@ Rows = dict[str, tuple[Alter, Variant]]
 class Question:
     """Rows that are compared on cases of some kinds and categories.
 
-    With ``planes`` the table says how many refinements used no mirror plane.
+    more : further figures by their names: means of a number of each result and its row's label.
     """
 
     title: str
     kinds: tuple[str, ...]
     rows: Rows
     categories: tuple[str, ...]
-    planes: bool = False
+    more: dict[str, Callable[[RefineResult, str], float]] = field(default_factory=dict)
+
+
+def no_plane(result: RefineResult, label: str) -> float:
+    """1 if the refinement used no mirror plane."""
+    return float(result.symmetry.plane is None)
 
 
 AUTO = Variant()
@@ -90,7 +99,18 @@ QUESTIONS = {
     "depth": Question("Depth maps", ("other", "near"), DEPTH_ROWS, THREE),
     "colours": Question("Photos of painted objects", ("other",), COLOUR_ROWS, THREE),
     "missing": Question(
-        "Objects that lack a part", ("other",), MISSING_ROWS, (*THREE, "sofa"), planes=True
+        "Objects that lack a part",
+        ("other",),
+        MISSING_ROWS,
+        (*THREE, "sofa"),
+        {PLANES: no_plane},
+    ),
+    "maps": Question(
+        "Depth maps that hold something else",
+        ("other", "near"),
+        evidence_maps.rows(),
+        THREE,
+        {NAMED: evidence_maps.named, IGNORED: evidence_maps.ignored},
     ),
 }
 
@@ -148,7 +168,7 @@ def refine_rows(name: str, question: Question, cases: list[tuple[Case, Truth]], 
                 "before": chamfer(case.initial, case.target).chamfer,
                 "chamfer": chamfer(result.points, case.target).chamfer,
             }
-            row |= {PLANES: float(result.symmetry.plane is None)} if question.planes else {}
+            row |= {name: number(result, label) for name, number in question.more.items()}
             records[number]["rows"][label] = rounded(row)
     return records
 
@@ -179,7 +199,7 @@ def tables(record: Record) -> list[Table]:
     result = []
     for question, kinds in record["summary"].items():
         asked = QUESTIONS[question]
-        columns = {**FIGURES, **({PLANES: PLANES} if asked.planes else {})}
+        columns = FIGURES | {name: name for name in asked.more}
         rows = [
             [kind, label, *map(figures.get, columns)]
             for kind, groups in kinds.items()
@@ -207,8 +227,8 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="evidence",
-    about="Depth maps (depth), photos of painted objects (colours), and objects that lack a part "
-    "(missing).",
+    about="Depth maps (depth), photos of painted objects (colours), objects that lack a part "
+    "(missing), and depth maps that hold something else than depth (maps).",
     parts=("pictures", "points, best"),
     tables=tables,
     draw=draw,

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...evaluation.metrics import chamfer
+from ...geometry.camera import Camera
 from ...geometry.points import Array, farthest_point_sample, sample_surface
 from ...geometry.view import View
 from ...io.meshes import Mesh
@@ -62,11 +63,16 @@ def with_depth(case: Case, truth: Truth, rng: Rng, noise: float = 0.0) -> Case:
     """Each view with the depth of the true surface, and Gaussian ``noise`` (longest side 1)."""
     views = []
     for view in case.views:
-        columns, rows = np.arange(view.camera.width), np.arange(view.camera.height)
-        exact = truth.scene.cast(view.camera, columns.astype(float), rows.astype(float))["depth"]
+        exact = exact_depth(truth.scene, view.camera)
         noisy = exact + noise * rng.normal(size=exact.shape)
         views.append(replace(view, depth=np.where(np.isfinite(exact), noisy, 0.0)))
     return replace(case, views=tuple(views))
+
+
+def exact_depth(scene: RayScene, camera: Camera) -> Array:
+    """[H, W] along z, infinite where nothing is hit."""
+    columns, rows = np.arange(float(camera.width)), np.arange(float(camera.height))
+    return scene.cast(camera, columns, rows)["depth"]
 
 
 def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:

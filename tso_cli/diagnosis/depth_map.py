@@ -1,0 +1,188 @@
+"""What a depth map holds: depth along z, or something else that is called depth.
+
+The foremost surface of the cloud decides. The cloud may be of another shape and a little out of
+place, so only what is clear is named. Figures are of right maps in 2,100 views of training and
+validation shapes, with right, near and other starts and fields of view of 28 to 90 degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from ..geometry.arrays import Array
+from ..geometry.points import longest_side
+from ..geometry.view import View
+from .findings import Finding
+
+Held = Literal["z", "inverse", "affine", "ray", "unit", "unrelated"]
+# Blocks along the longer side of the mask. The foremost point of each counts.
+BLOCKS = 20
+# With fewer blocks only another unit is named. So it is with less relief of the cloud, in its
+# longest sides, apart from distance along the ray and other pictures.
+FEWEST_BLOCKS, LEAST_RELIEF = 24, 0.15
+# Right maps are 0.57 to 1.62 times the cloud's depths.
+OTHER_UNIT = 2.0
+# The rank correlation of right maps with the cloud is at least -0.57.
+INVERSE = -0.7
+# A map in another unit is of a kind only if it is related to the cloud at all.
+RELATED = 0.3
+# With a rank correlation over 0.6, right maps have up to 2.2 times the relief of the cloud. Where
+# another unit is the alternative, the limit is lower.
+AFFINE, MOST_RELIEF, MOST_RELIEF_OR_UNIT = 0.6, 3.0, 2.0
+# Read as distance along the ray, right maps are off the cloud by at least 0.59 of what they are off
+# along z, where that is over 0.02 of the cloud's size.
+RAY, LEAST_OFF = 0.5, 0.02
+# Seven tenths of the blocks of right maps are off by less than 0.47 of the cloud's size, apart from
+# a common shift.
+MOST_OFF, MOST_BLOCKS = 0.55, 0.7
+# A dense map that is known on less of the mask is of another picture. In a dense map most known
+# pixels have a known neighbour.
+LEAST_COVERED, DENSE, FEWEST_PIXELS = 0.6, 0.8, 100
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The foremost surface of a cloud where a map is known: [B] numbers, one for each block.
+
+    values : of the map. depth : of the cloud, along z. ray : as `Camera.ray_lengths`.
+    size : longest side of the cloud. covered : share of the mask on which a dense map is known.
+    """
+
+    values: Array
+    depth: Array
+    ray: Array
+    size: float
+    covered: float
+
+    @classmethod
+    def of(cls, points: Array, view: View) -> Surface:
+        """Of ``points`` [N, 3], as a ``view`` with a depth map sees them."""
+        assert view.depth is not None
+        px, depth = view.camera.project(points)
+        height, width = view.mask.shape
+        cell = np.rint(np.where(depth[:, None] > 0.0, px, -1.0))
+        within = (cell >= 0.0).all(1) & (cell < [width, height]).all(1)
+        (column, row), depth = cell[within].astype(np.int64).T, depth[within]
+        known = (view.inside & np.isfinite(view.depth))[row, column]
+        column, row, depth = column[known], row[known], depth[known]
+        left, top, right, bottom = view.box()
+        block = max(1, round(max(right - left, bottom - top) / BLOCKS))
+        key = (row // block) * width + column // block
+        order = np.lexsort((depth, key))
+        first = order[np.flatnonzero(np.diff(key[order], prepend=-1))]
+        column, row = column[first], row[first]
+        ray = view.camera.ray_lengths(row, column)
+        return cls(view.depth[row, column], depth[first], ray, longest_side(points), _covered(view))
+
+    @cached_property
+    def rank(self) -> float:
+        """Spearman's rank correlation of map and cloud; 0 where one of them is constant."""
+        ranks = [_ranks(self.values), _ranks(self.depth)]
+        norm = np.prod([np.linalg.norm(some) for some in ranks])
+        return float(ranks[0] @ ranks[1] / norm) if norm else 0.0
+
+    @cached_property
+    def times(self) -> float:
+        """How many times the cloud's depths the map's values are."""
+        return float(np.median(self.values / self.depth))
+
+    @property
+    def relief(self) -> float:
+        """Of the map, brought to the cloud's unit, relative to that of the cloud."""
+        return _spread(self.values) / _spread(self.depth) / self.times
+
+    @property
+    def flat(self) -> bool:
+        relief = LEAST_RELIEF * self.size
+        return _spread(self.depth) < relief or _spread(self.values) == 0.0
+
+    def off(self, depth: Array, share: float = 0.5) -> Array:
+        """[2], how far ``depth`` [B] is off the cloud, and how far without a common shift.
+
+        That ``share`` of the blocks is off by less, in longest sides.
+        """
+        error = depth - self.depth
+        return np.quantile(np.abs([error, error - np.median(error)]), share, axis=1) / self.size
+
+    def held(self, any_size: bool = False) -> Held:
+        """What the map holds; "z" where nothing else is clear.
+
+        ``any_size`` : the size of the cloud is not known, and so neither is the unit.
+        """
+        if self.covered < LEAST_COVERED:
+            return "unrelated"
+        in_unit = any_size or not len(self.depth) or 1.0 / OTHER_UNIT < self.times < OTHER_UNIT
+        few = len(self.depth) < FEWEST_BLOCKS
+        if not few and not self.flat:
+            if self.rank < (INVERSE if in_unit else -RELATED):
+                return "inverse"
+            if self.rank < RELATED and not in_unit:
+                return "unrelated"
+            if in_unit:
+                affine = self.rank > AFFINE and self.relief > MOST_RELIEF
+            else:
+                affine = not 1.0 / MOST_RELIEF_OR_UNIT < self.relief < MOST_RELIEF_OR_UNIT
+            if affine:
+                return "affine"
+        if not in_unit:
+            return "unit"
+        if few or any_size:
+            return "z"
+        along_z, along_ray = self.off(self.values), self.off(self.values / self.ray)
+        if along_z[0] > LEAST_OFF and (along_ray < RAY * along_z).all():
+            return "ray"
+        return "unrelated" if self.off(self.values, MOST_BLOCKS)[1] > MOST_OFF else "z"
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """What a finding says."""
+        if not len(self.depth):
+            return {"rank": 0.0, "covered": self.covered}
+        off, of_ray = (self.off(some)[0] for some in (self.values, self.values / self.ray))
+        relief = 0.0 if self.flat else self.relief
+        return {
+            "rank": self.rank, "covered": self.covered, "times": self.times, "relief": relief,
+            "off": float(off), "of_ray": float(of_ray),
+        }  # fmt: skip
+
+
+def wrong_maps(points: Array, views: Sequence[View], any_size: bool = False) -> list[Finding]:
+    """The maps of kind "auto" that hold something else than depth along z.
+
+    ``points`` [N, 3] are those of a cloud in its place; ``any_size`` as in `Surface.held`.
+    """
+    found = []
+    for number, view in enumerate(views):
+        if view.depth is not None and view.depth_kind == "auto":
+            surface = Surface.of(points, view)
+            if (held := surface.held(any_size)) != "z":
+                found.append(Finding(f"depth-{held}", (number,), values=surface.figures))
+    return found
+
+
+def _covered(view: View) -> float:
+    """1 where the map is sparse or the mask small."""
+    assert view.depth is not None
+    known = np.isfinite(view.depth)
+    pairs = np.count_nonzero(known[:, 1:] & known[:, :-1])
+    pixels = np.count_nonzero(view.inside)
+    if pixels < FEWEST_PIXELS or pairs < DENSE * np.count_nonzero(known):
+        return 1.0
+    return np.count_nonzero(known & view.inside) / pixels
+
+
+def _ranks(values: Array) -> Array:
+    """About their mean; equal values have equal ranks."""
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    ranks = (np.cumsum(counts) - counts / 2.0)[place]
+    return np.asarray(ranks - len(values) / 2.0)
+
+
+def _spread(values: Array) -> float:
+    low, high = np.quantile(values, [0.1, 0.9])
+    return float(high - low)
