@@ -49,8 +49,8 @@ CONVENTION = {
     "5 % in Chamfer distance (a rising IoU is no proof); 1 where nothing moved; null except for "
     "the default preset in points mode",
     "determined": "share of the motions of the points that masks and depth maps fix more firmly "
-    "than the position prior does; one mask fixes at most two thirds; null except for the default "
-    "preset in points mode",
+    "than a position prior; one mask alone fixes at most about two thirds; null except for the "
+    "default preset in points mode",
     "best_view": "where a further mask would determine most: degrees to the right of the first "
     "camera and above it, around the object; null without --point-confidence",
     "step_taken": "share of the displacement that was taken: under 1 where the result is doubtful, "

@@ -108,8 +108,8 @@ def normal_blocks(points: Array, view: ViewTarget, robust_scale: float) -> Array
 def contour(target: MaskTarget) -> Bits:
     """[H, W] the foreground cells next to a cell that is known to be background."""
     outside = np.pad(target.outside, 1)
-    beside = outside[:-2, 1:-1] | outside[2:, 1:-1] | outside[1:-1, :-2] | outside[1:-1, 2:]
-    return np.asarray(target.inside & beside)
+    bordering = outside[:-2, 1:-1] | outside[2:, 1:-1] | outside[1:-1, :-2] | outside[1:-1, 2:]
+    return np.asarray(target.inside & bordering)
 
 
 def _of_depth(
