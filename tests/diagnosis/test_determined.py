@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests import oracles
-from tests.scenes import example, seen, turned
+from tests.scenes import example, problem_of, seen, turned
 from tso_cli import Camera, RefineConfig, refine
 from tso_cli.cloud.smooth_field import SmoothField
 from tso_cli.diagnosis.best_view import DIRECTIONS, around, expected_share
@@ -202,6 +202,14 @@ def test_a_world_that_is_turned_has_turned_blocks_and_the_same_confidence(vector
 def test_a_view_that_sees_no_point_says_nothing():
     behind = replace(CAMERA, t=np.array([0.0, 0.0, -5.0]))
     assert not blocks(BALL, replace(target(BALL, CAMERA), camera=behind)).any()
+
+
+def test_a_flipped_view_counts_as_a_quarter_of_its_original():
+    problem = problem_of(CHAIR.points, CHAIR.view, symmetry="x")
+    points, weights = problem.cloud.start, [0.8]
+    given, flipped = (normal_blocks(points, view, R) for view in problem.targets(weights).views)
+    found = Evidence.of(points, problem, weights, SmoothField(points), BEST)
+    np.testing.assert_allclose(found.blocks, given + 0.25 * flipped)
 
 
 def test_a_camera_goes_around_the_object_at_its_distance_and_sees_it_in_the_same_place():
