@@ -9,7 +9,7 @@ from tso_cli.lab.studies import determined
 from tso_cli.lab.studies.cases import MASKS, CaseBuilder
 from tso_cli.lab.studies.shapes import shapes_of_part
 
-from .studying import MESHES, VALIDATION
+from .studying import MESHES, VALIDATION, holding
 
 
 @pytest.mark.slow
@@ -47,8 +47,11 @@ def test_a_mask_is_compared_with_the_random_one_of_its_shape():
         ("determined", "ratio", "error", "along", "across", "error_of_lowest", "error_of_highest"),
         0.5,
     )
-    rows.append({"asked": "evidence", "seen": "1 mask", "shape": "a", **figures})
-    further = determined.conclude(rows)["further"]
+    for count in determined.MASK_COUNTS:
+        rows.append({"asked": "evidence", "seen": f"{count}", "shape": "a", **figures})
+    record = determined.conclude(rows)
+    further = record["further"]
+    assert holding(record) == [False, False]
     assert further[determined.SUGGESTED]["over_random"] == pytest.approx(0.0)
     assert further[determined.SUGGESTED]["better_than_random"] == 0.5
     assert further[determined.NONE]["over_random"] == pytest.approx(0.25)

@@ -22,7 +22,7 @@ from ...render import RayScene, render_view
 from .. import options
 from ..charts import draw_bars
 from ..interrupts import uninterrupted
-from ..study import Cases, Plan, Progress, Record, Study, Table
+from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .cases import MASKS, Case, CaseBuilder
 from .evidence_alterations import Truth, with_depth
 from .shapes import Shape, shapes_of_part
@@ -162,7 +162,27 @@ def conclude(cases: Cases) -> Record:
             "interval": interval(shapes, ratios - chance),
             "better_than_random": float((ratios < chance).mean()),
         }
-    return {"summary": summary, "further": masks}
+    return {"summary": summary, "further": masks, "claims": _claims(summary, masks)}
+
+
+def _claims(summary: Record, masks: Record) -> list[Record]:
+    most = list(summary.values())[len(MASK_COUNTS) - 1]
+    share = most["error_of_highest"] / most["error_of_lowest"]
+    gain, (low, high) = masks[SUGGESTED]["over_random"], masks[SUGGESTED]["interval"]
+    return [
+        claim(
+            f"with {MASK_COUNTS[-1]} masks the most confident quarter of the points is half as far "
+            "off as the least",
+            share <= 0.5,
+            f"{share:.2f} times as far",
+        ),
+        claim(
+            "a mask from the suggested view helps more than one from a random view, with 95 % "
+            "certainty",
+            high < 0.0,
+            f"after / before {gain:+.3f}, {low:+.3f} to {high:+.3f}",
+        ),
+    ]
 
 
 def _of(rows: Cases, key: str) -> Array:
