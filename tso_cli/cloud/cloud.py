@@ -148,6 +148,14 @@ class ControlledCloud:
         restored: Array = self.centre + self.scale * points
         return restored
 
+    def spread(self, shares: Array) -> Array:
+        """[V], ``shares`` [N] in [0, 1] of the control points, interpolated as displacements are.
+
+        Those of outliers are 0.
+        """
+        spread = self._control.follow(np.repeat(shares[:, None], 3, 1))[:, 0]
+        return np.clip(spread, 0.0, 1.0)
+
     def moved(self, displacements: Array) -> MovedCloud:
         """The cloud after ``displacements`` [N, 3] of the control points, in longest sides."""
         of_points = self._control.follow(displacements)

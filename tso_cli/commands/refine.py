@@ -237,6 +237,11 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     "current folder]"
 )
 @options.overwrite
+@options.flag(
+    "--point-confidence",
+    "Write how far the masks determine each point, 0 to 1, as `confidence` of the .ply, and name "
+    "the view whose mask would help most.",
+)
 @options.flag("--accept-doubtful", "Take the whole displacement even if the result is doubtful.")
 @options.flag(
     "--strict", "Write nothing if the result is doubtful or has no confidence; exit code 3."

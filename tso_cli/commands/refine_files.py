@@ -251,11 +251,17 @@ class RefineOutputs:
     record: Path | None
     write_camera: Path | None
     write_transform: Path | None
+    point_confidence: bool
     overwrite: bool
 
     def check(self, inputs: list[Path]) -> None:
         """InputError for an output that cannot be written or would replace another file."""
         check_suffix(self.output, self.own_suffix)
+        if self.point_confidence and self.output.suffix.lower() != ".ply":
+            raise InputError(
+                f"{self.output}: the suffix is {self.output.suffix!a}, expected .ply to hold "
+                f"--point-confidence; write another file: -o {self.output.stem}.ply"
+            )
         check_output(self.output, self.overwrite)
         for name in ("overlay", "report", "rerun"):
             file = getattr(self, name)
@@ -348,6 +354,7 @@ class RefineOutputs:
                 like=scene.file,
                 overwrite=self.overwrite,
                 matrix=result.move.matrix,
+                confidence=result.point_confidence,
             )
 
 

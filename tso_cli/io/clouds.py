@@ -200,6 +200,7 @@ def write_cloud(
     overwrite: bool = False,
     dtype: Literal["float32", "float64"] | None = None,
     matrix: Array | None = None,
+    confidence: Array | None = None,
 ) -> None:
     """Write ``points`` [N, 3] as a .ply, .npy or .xyz file, or as the file they were read from.
 
@@ -218,13 +219,18 @@ def write_cloud(
     longest side. A .ply file gets the faces and colours of ``like``, and its normals if no point
     moved, or all as one. A warning names what else the file of ``like`` holds.
 
+    ``confidence`` [N] in [0, 1] becomes a property of the vertices of a .ply file.
+
     Raises InputError if ``path`` has another suffix or cannot be written, if ``points`` and
-    ``like`` differ in number, or if ``matrix`` does not keep shapes; TsoError if a coordinate is
-    not finite or too large for its type. After an error nothing is written.
+    ``like`` differ in number, if a file that is no .ply is to have a ``confidence``, or if
+    ``matrix`` does not keep shapes; TsoError if a coordinate is not finite or too large for its
+    type. After an error nothing is written.
     """
     path = Path(path)
     check_suffix(path, like.source.suffix if like is not None and like.source else "")
     check_output(path, overwrite)
+    if confidence is not None and path.suffix.lower() != ".ply":
+        raise InputError(f"{path}: cannot hold the confidence of points, expected a .ply file")
     points = np.asarray(points, dtype=np.float64)
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
@@ -246,6 +252,8 @@ def write_cloud(
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         chosen = dtype or (like.precision if like is not None else precise)
         data = _new_file(suffix, points, chosen, like, move)
+    if confidence is not None:
+        data = PlyFile(data, path).with_confidence(confidence)
     write_file(path, data, overwrite)
 
 

@@ -46,6 +46,8 @@ GROWS = {"scales": re.compile(r"scale_\d+")}
 BLOCK = 1 << 16
 # Of Gaussian splats: opacity before the logistic function, and the constant part of the colour.
 OPACITY, CONSTANT_COLOUR = "opacity", ("f_dc_0", "f_dc_1", "f_dc_2")
+# How far a point can be trusted, in [0, 1]: a property of the Stanford scans.
+CONFIDENCE = "confidence"
 # A splat of lower opacity cannot be seen; trainers leave many of them around an object.
 LEAST_OPACITY = 0.05
 # The value of the spherical harmonic of degree 0.
@@ -282,6 +284,32 @@ class PlyFile(MovableFile):
             head = head[:begin] + b"double" + head[end:]
         with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file
             return head + self._body.changed(self._changes(old, points, along))
+
+    def with_confidence(self, values: Array) -> bytes:
+        """The file with ``values`` [N] as the property `confidence` of its vertices.
+
+        All other bytes stay. The property is a float after the others, unless the file has it.
+        """
+        scalars = [p for p in self.vertex.properties.values() if not p.length_kind]
+        there = self.vertex.properties.get(CONFIDENCE)
+        if there is not None and there.length_kind:
+            raise InputError(
+                f"{self.path}: {CONFIDENCE} of its vertices is a list, expected one number to "
+                "replace; rename it"
+            )
+        last = there or scalars[-1]
+        places, (begin, end) = self._places_of(self.vertex, (last.name,)), last.type_span
+        if there is None:
+            line = re.compile(rb"[^\r\n]*(\r\n|\r|\n)").match(self.data, end)
+            assert line  # the header has an end
+            begin = end = line.end()
+            declared = b"property float " + CONFIDENCE.encode() + line[1]
+            body = self._body.with_floats(places[:, 0], last.kind, values)
+        else:
+            declared = self.data[begin:end] if there.kind[0] == "f" else b"double"
+            old = self._body.columns(places, [there.kind])
+            body = self._body.changed([Change(places, [there.kind], old, values[:, None])])
+        return self.data[:begin] + declared + self.data[end : self.header.size] + body
 
     def _changes(self, old: Array, points: Array, along: list[_Along]) -> Iterator[Change]:
         yield Change(self._places, self.kinds, old, points)

@@ -150,6 +150,11 @@ class BinaryBody:
         spans = np.concatenate(starts), np.concatenate(ends), np.concatenate(words)
         return spliced(out, self._start, *spans)
 
+    def with_floats(self, places: Indices, kind: str, values: Array) -> bytes:
+        """The body with ``values`` [N] as floats after the values of ``kind`` at ``places`` [N]."""
+        at = places + self.width(kind)
+        return spliced(self.data, self._start, at, at, values.astype(self._order + "f4").view("V4"))
+
 
 class TextBody:
     """The rows of a text file, one per line. The place of a value is the index of its word."""
@@ -223,6 +228,10 @@ class TextBody:
                 words.append(new[differs].astype("S32"))
         spans = np.concatenate(starts), np.concatenate(ends), np.concatenate(words)
         return spliced(self._table.data, self._start, *spans)
+
+    def with_floats(self, places: Indices, kind: str, values: Array) -> bytes:
+        at, words = self._table.ends[places], values.astype(np.float32).astype("S32")
+        return spliced(self._table.data, self._start, at, at, np.char.add(b" ", words))
 
 
 def spliced(

@@ -28,6 +28,7 @@ class Settings:
     move: Asked
     keep: Keep
     accept_doubtful: bool
+    point_confidence: bool
     points: int | None
     seconds: float
     prior: str

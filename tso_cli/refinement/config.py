@@ -60,6 +60,8 @@ class RefineConfig:
         "distance", or "auto" (the distance for a shift and a similarity, else the size).
     only : move as one, and leave the shape as it is.
     accept_doubtful : take the whole displacement although the result is doubtful.
+    point_confidence : also find how far the evidence determines each point, and the view that
+        would help most.
     budget : "auto": the steps of the preset; or seconds, in which the refinement ends. In a batch
         each cloud has that many seconds.
     points : most control points: points that move by themselves, while the others follow (16 to
@@ -92,6 +94,7 @@ class RefineConfig:
     keep: Keep = "auto"
     only: bool = False
     accept_doubtful: bool = False
+    point_confidence: bool = False
     budget: Literal["auto"] | float = "auto"
     points: int | None = None
     prior: str | Path | None = None
@@ -136,6 +139,7 @@ class RefineConfig:
         smooth_only = {
             "recipe": self.recipe is not BEST,
             "points": self.points is not None,
+            "point_confidence": self.point_confidence,
             "prior": self.prior is not None and str(self.prior) != NO_PRIOR,
         }
         for name, used in smooth_only.items():

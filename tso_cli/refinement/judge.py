@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..cloud.cloud import MovedCloud
+from ..diagnosis.best_view import best_view
 from ..diagnosis.confidence import Trust, features_of
+from ..diagnosis.determined import Evidence
 from ..diagnosis.examine import Diagnosis
 from ..diagnosis.findings import Finding
 from ..errors import TsoError
@@ -114,6 +116,16 @@ def judge(
             given, problem.given, ending.ious, weights.inlier, weights.loss, strict=True
         )
     )
+    determined = confidence = further = None
+    if weighed.field:
+        at = cloud.start + moved.displacements
+        evidence = Evidence.of(at, problem, weights.loss, weighed.field, settings.recipe)
+        of_points = evidence.confidence()
+        determined = float(of_points.mean())
+        if settings.point_confidence:
+            confidence = cloud.spread(of_points)
+            first, (centre,) = problem.given[0].resampled.camera, move.apply(cloud.centre[None])
+            further = best_view(evidence, first, views[0].camera, centre)
     return RefineResult(
         points=move.apply(moved.points),
         initial=cloud.source.points,
@@ -129,6 +141,9 @@ def judge(
         trust=ending.trust,
         cost=Cost(seconds, decisions(problem, settings, optimised)),
         findings=(*diagnosis.findings, *_contradicted(weights.inlier)),
+        determined=determined,
+        point_confidence=confidence,
+        best_view=further,
     )
 
 

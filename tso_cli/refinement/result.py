@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from ..diagnosis.best_view import BestView
 from ..diagnosis.confidence import Trust
 from ..diagnosis.findings import Finding
 from ..geometry.arrays import Array, Bits, Box
@@ -117,6 +118,11 @@ class RefineResult:
     move : what moved as one before the shape was refined.
     findings : what may be wrong with the input, suspicious ones first; read them before the result
         is used.
+    determined : in [0, 1], the share of the points' motions that masks and depth maps fix
+        (`diagnosis/determined.py`). None for the preset "paper" and the network modes, which have
+        no smooth field that the points move by.
+    point_confidence : [N] in [0, 1], the same for each of the ``points``; 0 for outliers.
+        best_view : whose mask would help most. Both are None unless `RefineConfig` asks for them.
     """
 
     points: Array
@@ -133,6 +139,9 @@ class RefineResult:
     trust: Trust
     cost: Cost
     findings: tuple[Finding, ...] = ()
+    determined: float | None = None
+    point_confidence: Array | None = None
+    best_view: BestView | None = None
 
     @property
     def cameras(self) -> tuple[Camera, ...]:

@@ -17,6 +17,10 @@ QUESTIONS = {
         "studies.evidence.STUDY",
         "What do depth maps, photos and missing parts change?",
     ),
+    "determined": (
+        "studies.determined.STUDY",
+        "How much of a shape does the evidence determine, and which further mask helps most?",
+    ),
     "pose": ("studies.pose.STUDY", "How well is a camera found from mask and cloud alone?"),
     "moves": ("studies.moves.STUDY", "What does moving a cloud as one bring?"),
     "network": ("studies.network.STUDY", "How good is the base network on unseen shapes?"),
