@@ -318,7 +318,6 @@ def test_the_warning_of_a_result(moved, fit, trust, warning):
     ("outcome", "share", "taken"),
     [
         ("moved", 1.0, ""),
-        ("moved", 0.5, ", so only 50 % of the displacement is taken"),
         ("refused", 0.0, ", so the cloud is left as it was"),
     ],
 )

@@ -79,7 +79,8 @@ def test_where_the_iou_would_fall_the_start_is_returned(middle, step, right, out
         assert result.fit.loss_after == result.fit.loss_before == 2.0
         assert result.fit.moved_max == 0.0
         assert result.fit.chamfer_to_initial == 0.0
-        assert result.trust.verdict == "unchanged"
+        # A square in the middle of 9.5 px hardly overlaps the mask.
+        assert result.trust.verdict == ("unchanged" if middle == 28.0 else "doubtful")
 
 
 def test_an_iterate_after_the_loss_stopped_being_a_number_is_never_taken():
@@ -151,13 +152,11 @@ def _of(optimised, view, accept_doubtful=False, **changed):
 @pytest.mark.parametrize(
     ("confidence", "accepted", "share", "outcome"),
     [
-        (0.1, False, 0.0, "refused"),
-        (0.2, False, 0.5, "moved"),
-        (0.3, False, 1.0, "moved"),
-        (0.1, True, 1.0, "moved"),
+        (0.4, False, 0.0, "refused"),
+        (0.4, True, 1.0, "moved"),
     ],
 )
-def test_of_a_doubtful_displacement_a_share_is_taken(
+def test_a_doubtful_displacement_is_taken_or_left(
     chair, optimised, confidence, accepted, share, outcome
 ):
     whole = _of(optimised, chair.view)
@@ -172,12 +171,6 @@ def test_of_a_doubtful_displacement_a_share_is_taken(
     )
     assert (result.fit.stop_reason == "doubtful") == (outcome == "refused")
     assert result.findings == (Finding("opengl"),)
-
-
-def test_the_loss_of_a_displacement_taken_in_part_is_of_what_is_taken(chair, optimised):
-    found = dict(of_views=(Finding("opengl"),), outvoted=True, most_confidence=0.2)
-    part, whole = _of(optimised, chair.view, **found), _of(optimised, chair.view)
-    assert whole.fit.loss_after < part.fit.loss_after < whole.fit.loss_before
 
 
 def test_a_view_that_the_others_contradict_is_a_finding(chair, optimised):

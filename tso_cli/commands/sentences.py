@@ -175,9 +175,6 @@ class Words:
                 sure = f" (confidence {shown(trust.confidence)})"
             what = "the cloud" if result.move.kind in ("nothing", "camera") else "its shape"
             taken = f", so {what} is left as it was" if fit.outcome == "refused" else ""
-            if 0.0 < trust.displacement_taken < 1.0:
-                share = f"{100.0 * trust.displacement_taken:.0f} %"
-                taken = f", so only {share} of the displacement is taken"
             messages.append(f"the result is doubtful{sure}{taken}: {reason}")
         # A note that is the reason of the doubt is said once.
         notes = [finding for finding in result.findings if finding.name != trust.reason]

@@ -131,6 +131,9 @@ def occluder(view: View, number: int, points: Array) -> tuple[Finding, Bits] | N
 
     The cloud has a compact part outside the mask, and the rest of the cloud agrees with the mask.
     """
+    if view.truncated:
+        # What of the object the picture shows is not known, and so neither is the share.
+        return None
     outline = Outline(view)
     cells = outline.cells[False]
     x, y, _ = outline.project(points, [()])

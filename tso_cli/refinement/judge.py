@@ -9,7 +9,7 @@ import numpy as np
 
 from ..cloud.cloud import MovedCloud
 from ..diagnosis.best_view import best_view
-from ..diagnosis.confidence import Trust, features_of
+from ..diagnosis.confidence import LEAST_OVERLAP, Trust, features_of
 from ..diagnosis.determined import Evidence
 from ..diagnosis.examine import Diagnosis
 from ..diagnosis.findings import Finding
@@ -31,9 +31,6 @@ from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
 
 Ious = list[tuple[float, float]]  # of each view, before and after
 
-# A start of lower IoU hardly touches its mask, like a pole next to the pole of its mask. Coming
-# nearer need not raise the IoU.
-FEEBLE_IOU = 0.1
 # With fewer steps, or less than half of all, there is no confidence: what is left undone looks like
 # a mistake.
 FEWEST_STEPS = BEST_POINTS.steps // 2
@@ -67,8 +64,8 @@ def judge(
 ) -> RefineResult:
     """The result of an optimisation.
 
-    The displacement is taken as a whole, or in part or not at all where it is likely to make the
-    cloud worse. ``problem`` has the windows of the optimisation, and the views after the ``move``.
+    The displacement is taken, or left where it is likely to make the cloud worse. ``problem`` has
+    the windows of the optimisation, and the views after the ``move``.
     ``given`` are the views that were given.
 
     Raises TsoError where the loss of the start, or after the first step, is not a finite number.
@@ -93,7 +90,7 @@ def judge(
         stop_reason=_stop_reason(optimised, ending, settings.steps),
         losses=losses,
         loss_before=0.0 if ending.stop_reason == "nothing_to_do" else optimised.first_loss,
-        loss_after=_loss_after(problem, optimised, ending),
+        loss_after=_loss_after(optimised, ending),
         iou_before=iou_before,
         iou_after=iou_after,
         moved_by_prior=float(np.linalg.norm(begun - cloud.start, axis=1).mean()),
@@ -174,7 +171,8 @@ def _ending(
         ious = [(before, before) for before, _ in of_shape]
         if move.kind != "nothing":
             ious = _ious(problem, given, start)
-        return _Ending(start, ious, trust.with_pose(diagnosis), "unchanged", kept)
+        trust = trust.with_overlap(np.mean(ious, 0).min()).with_pose(diagnosis)
+        return _Ending(start, ious, trust, "unchanged", kept)
     unknown = _why_unknown(problem, optimised, settings)
     if unknown:
         trust = Trust.unknown(*unknown, diagnosis)
@@ -186,10 +184,10 @@ def _ending(
         trust = Trust.of(features, diagnosis, explained)
     if settings.accept_doubtful:
         trust = replace(trust, displacement_taken=1.0)
-    if trust.displacement_taken < 1.0:
-        moved, of_shape = _moved(problem, trust.displacement_taken * displacements)
+    trust = trust.with_overlap(np.mean(of_shape, 0).min()).with_pose(diagnosis)
+    if trust.displacement_taken == 0.0:
+        moved, of_shape = _moved(problem, np.zeros_like(displacements))
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
-    trust = trust.with_pose(diagnosis)
     if trust.displacement_taken == 0.0:
         return _Ending(moved, ious, trust, "refused", "doubtful")
     return _Ending(moved, ious, trust, "moved")
@@ -253,7 +251,8 @@ def _agrees_less(ious: Ious, weights: Sequence[float]) -> bool:
     start and a coarse mask.
     """
     before, after = np.average(ious, axis=0, weights=weights)
-    return bool(after < before and before >= FEEBLE_IOU)
+    # Coming nearer to a mask that is hardly touched, as a pole to another, need not raise the IoU.
+    return bool(after < before and before >= LEAST_OVERLAP)
 
 
 def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> tuple[float, float]:
@@ -272,15 +271,11 @@ def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> t
     return before, after
 
 
-def _loss_after(problem: Problem, optimised: Optimised, ending: _Ending) -> float:
+def _loss_after(optimised: Optimised, ending: _Ending) -> float:
     """By the objective without the position prior."""
     if ending.outcome != "moved":
         return 0.0 if ending.stop_reason == "nothing_to_do" else optimised.first_loss
-    taken = ending.trust.displacement_taken
-    if taken == 1.0 or optimised.agreement is None:
-        return optimised.best_loss
-    start = problem.cloud.start
-    return optimised.agreement(start + taken * (optimised.best - start))[0]
+    return optimised.best_loss
 
 
 def _stop_reason(optimised: Optimised, ending: _Ending, steps: int) -> StopReason:

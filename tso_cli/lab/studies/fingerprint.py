@@ -52,7 +52,8 @@ def _points(preset: Preset) -> Numbers:
     seen = {"one mask": [view], "four masks": around}
     seen["truncated"] = [View(view.mask[:, :128], replace(camera, width=128))]
     if preset == "best":
-        seen["depth"] = [replace(view, depth=np.full(view.mask.shape, camera.t[2]))]
+        plane = np.full(view.mask.shape, camera.t[2])
+        seen["depth"] = [replace(view, depth=plane, depth_kind="z")]
     for label, views in seen.items():
         result = uninterrupted(refine(scene.points, views, config=RefineConfig(preset=preset)))
         numbers |= _figures(label, result, result.points)
