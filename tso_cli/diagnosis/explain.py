@@ -32,13 +32,16 @@ from .hypotheses import (
 class Margin:
     """How much better silhouettes agree, as IoU, if a hypothesis is right."""
 
-    FOUND = 0.16  # by this a mistake is found ...
+    FOUND = 0.16  # by this a mistake is found, by one view ...
     WEAK = 0.04  # ... and by this it is weak: short optimisations verify it
     LEAST_IOU = 0.4  # and silhouettes agree at least so far
     SIMILAR = 0.03  # hypotheses that differ by less agree about as well
     BELOW_OTHERS = 0.1  # a single view may be wrong if it is so far below the median of the others
 
 
+# Of several views chance agrees less: the margin falls with the root of their number, up to this
+# one. The views share the error of the start's shape.
+MOST_INDEPENDENT = 4
 # Two mistakes at once fit by chance more often than one does.
 PRIOR_OF_TWO = 0.06
 # A hypothesis that turns the object must explain the views better, by this, than a cloud of other
@@ -134,12 +137,13 @@ class Table:
         scores[0] = 0.0
         return scores if candidates is None else np.where(candidates, scores, 0.0)
 
-    def likely(self, views: Indices, scores: Array, gain: float = Margin.FOUND) -> list[Finding]:
+    def likely(self, views: Indices, scores: Array, margin: float = Margin.FOUND) -> list[Finding]:
         """Candidates that explain ``views``, likeliest first.
 
         If leaving an assumption out explains them, none is added.
         """
         before = float(self.ious[0, views].mean())
+        gain = margin / np.sqrt(min(len(views), MOST_INDEPENDENT))
         if scores.max() < max(before + gain, Margin.LEAST_IOU):
             return []
         order = np.argsort(-scores, kind="stable")
