@@ -1,6 +1,7 @@
 """Mirror planes: the search, the symmetry check by the views, and flipped views."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,8 +142,9 @@ def test_without_time_to_ask_the_views_no_plane_is_used(seconds):
 def test_a_refinement_asks_the_views_before_it_uses_a_plane():
     start = _boxes(-0.42, 0.42)
     views = _seen(_boxes(-0.42))[:1]
+    config = RefineConfig(steps=12, accept_doubtful=True)
     asked, without = (
-        refine(start, views, config=RefineConfig(steps=12, symmetry=symmetry))
+        refine(start, views, config=replace(config, symmetry=symmetry))
         for symmetry in ("auto", "none")
     )
     assert asked.symmetry.outcome == "contradicted"
