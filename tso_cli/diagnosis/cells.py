@@ -101,6 +101,16 @@ def dilated(cells: Bits) -> Bits:
     return cells
 
 
+def visible_in(view: View, x: Array, y: Array) -> Bits:
+    """Which of the places ``x`` and ``y``, px, fall on known pixels of a view's image."""
+    height, width = view.mask.shape
+    visible: Bits = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
+    if view.known is not None:
+        column, row = (np.rint(places[visible]).astype(int) for places in (x, y))
+        visible[visible] = view.known[row, column]
+    return visible
+
+
 class Outline:
     """A view as it was read, to be compared with a cloud under assumptions.
 
@@ -161,15 +171,6 @@ class Outline:
         x, y = (K[..., :2] @ seen[:, :2] + K[..., 2:]).swapaxes(0, 1)
         return x, y, [change.inverted for change in changes]
 
-    def visible(self, x: Array, y: Array) -> Bits:
-        """Which of the pixels fall on known pixels of the image."""
-        height, width = self.view.mask.shape
-        visible: Bits = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
-        if self.view.known is not None:
-            column, row = (np.rint(places[visible]).astype(int) for places in (x, y))
-            visible[visible] = self.view.known[row, column]
-        return visible
-
     def ious(self, points: Array, options: Sequence[Sequence[Assumption]]) -> tuple[Array, float]:
         """[C], IoU of the mask and ``points`` [N, 3] in cells under each option alone.
 
@@ -177,7 +178,7 @@ class Outline:
         box of the mask.
         """
         x, y, inverted = self.project(points, options)
-        visible, found = self.visible(x, y), np.zeros(len(options))
+        visible, found = visible_in(self.view, x, y), np.zeros(len(options))
         for changed, cells in self.cells.items():
             rows = np.array(inverted) == changed
             found[rows] = cells.ious(x[rows], y[rows], visible[rows])

@@ -17,6 +17,7 @@ import numpy as np
 from ..geometry.arrays import Array
 from ..geometry.points import longest_side
 from ..geometry.view import View
+from ..losses.projection import pixels_under
 from .findings import Finding
 
 Held = Literal["z", "inverse", "affine", "ray", "unit", "unrelated"]
@@ -65,9 +66,8 @@ class Surface:
         assert view.depth is not None
         px, depth = view.camera.project(points)
         height, width = view.mask.shape
-        cell = np.rint(np.where(depth[:, None] > 0.0, px, -1.0))
-        within = (cell >= 0.0).all(1) & (cell < [width, height]).all(1)
-        (column, row), depth = cell[within].astype(np.int64).T, depth[within]
+        pixel, within = pixels_under(px, depth > 0.0, height, width)
+        (row, column), depth = np.divmod(pixel[within], width), depth[within]
         known = (view.inside & np.isfinite(view.depth))[row, column]
         column, row, depth = column[known], row[known], depth[known]
         left, top, right, bottom = view.box()

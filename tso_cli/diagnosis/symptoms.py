@@ -10,7 +10,7 @@ import numpy as np
 from ..geometry.arrays import Array, Bits
 from ..geometry.points import longest_side
 from ..geometry.view import View, is_grey_inside, object_box
-from .cells import CELLS, FEWEST_CELLS, Outline, dilated
+from .cells import CELLS, FEWEST_CELLS, Outline, dilated, visible_in
 from .findings import Finding
 from .placement import Placement
 
@@ -113,7 +113,7 @@ def bounding_box(outline: Outline, view: View, number: int, points: Array) -> Fi
     if view.inside[top:bottom, left:right].mean() < BoundingBox.MASK_FILLED:
         return None
     pixels = view.camera.project(points)[0]
-    pixels = pixels[outline.visible(*pixels.T)]
+    pixels = pixels[visible_in(view, *pixels.T)]
     if len(pixels) < BoundingBox.FEWEST_POINTS:
         return None
     low, high = np.quantile(pixels, [BoundingBox.TAILS, 1.0 - BoundingBox.TAILS], axis=0)
@@ -137,7 +137,7 @@ def occluder(view: View, number: int, points: Array) -> tuple[Finding, Bits] | N
     outline = Outline(view)
     cells = outline.cells[False]
     x, y, _ = outline.project(points, [()])
-    covered = cells.covered(x, y, outline.visible(x, y))[0]
+    covered = cells.covered(x, y, visible_in(view, x, y))[0]
     inside = np.pad(cells.inside, CELLS)
     fewest = Occluder.LEAST_SHARE * covered.sum()
     away = covered & ~dilated(inside)

@@ -67,7 +67,6 @@ def optimise_field(
         first_loss=loss_at_start,
         best_loss=min(loss_at_best, loss_at_start),
         begun=begin,
-        agreement=agreement,
     )
 
 

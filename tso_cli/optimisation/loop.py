@@ -43,8 +43,7 @@ class Optimised:
         finite.
     interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
     first_loss, best_loss : of the start and of ``best``.
-    begun : where `optimise_field` began, None in other optimisations. agreement : its objective
-        without the position prior.
+    begun : where `optimise_field` began, None in other optimisations.
     """
 
     best: Array
@@ -54,7 +53,6 @@ class Optimised:
     first_loss: float
     best_loss: float
     begun: Beginning | None = None
-    agreement: Term | None = None
     out_of_time: bool = False
 
     @property

@@ -47,9 +47,10 @@ def run(
     move, scene = _moved(scene, cloud, settings, clock)
     with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)
-        scene = scene.without(diagnosis.hidden)
-        pairs = zip(given, scene.views, strict=True)
-        given = tuple(replace(view, known=seen.known) for view, seen in pairs)
+        if diagnosis.hidden:
+            scene = scene.without(diagnosis.hidden)
+            pairs = zip(given, scene.views, strict=True)
+            given = tuple(replace(view, known=seen.known) for view, seen in pairs)
     scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
     with clock.phase("prepare"):
         problem = prepare(cloud, scene.views, settings)

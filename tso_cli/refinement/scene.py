@@ -42,13 +42,11 @@ class RefineScene:
         return self.settled or tuple(as_meant(view, self.assumptions) for view in self.read)
 
     def with_views(self, views: Sequence[View], found: Sequence[Finding] = ()) -> RefineScene:
-        """The same scene with other depth maps in its views, and with what was ``found``."""
+        """The same scene with other pictures in its views, and with what was ``found``."""
         return replace(self, settled=tuple(views), known=(*self.known, *found))
 
     def without(self, hidden: Mapping[int, Bits]) -> RefineScene:
         """The same scene, where ``hidden`` pixels [H, W] of views, by number, are unknown."""
-        if not hidden:
-            return self
         views = list(self.views)
         for number, pixels in hidden.items():
             known = views[number].known
