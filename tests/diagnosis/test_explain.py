@@ -312,21 +312,23 @@ def test_a_mistake_that_silhouettes_hardly_show_is_a_weak_hypothesis(name):
     chair = example("chair")
     found = explained(chair.points, [changed(chair.view, name)])
     assert found.of_input == ()
-    assert found.weak.name == name
-    assert found.weak.views == (0,)
-    assert 0.04 <= found.weak.gain < 0.16
+    assert name in [finding.name for finding in found.weak]
+    for finding in found.weak:
+        assert finding.views == (0,)
+        assert 0.04 <= finding.gain < 0.16
 
 
-def test_no_hypothesis_is_weak_where_something_was_assumed():
+def test_a_second_mistake_is_weak_where_another_was_assumed():
     chair = example("chair")
     flipped = [changed(chair.view, "mask-flipped")]
     # The principal point is in the middle of the picture: this assumption changes nothing.
     found = explained(chair.points, flipped, assumed("principal-point-swapped"))
-    assert found.as_given == explained(chair.points, flipped).as_given
+    alone = explained(chair.points, flipped)
+    assert found.as_given == alone.as_given
     assert found.of_input == ()
-    assert found.weak is None
+    assert found.weak == alone.weak
 
 
 def test_right_input_has_no_weak_hypothesis():
     car = example("car")
-    assert explained(car.target, [car.view]).weak is None
+    assert explained(car.target, [car.view]).weak == ()

@@ -39,7 +39,7 @@ class Diagnosis:
 
     of_input : alternatives that explain the whole input, likeliest first.
     of_views : what may be wrong with single views.
-    weak : a hypothesis that only short optimisations can confirm, and whether they did.
+    weak : alternatives that only short optimisations can confirm.
     notes : what is worth reading before a result is used.
     hidden : by number of the view, the pixels [H, W] that something in front of the object hides.
     explanation : None in the network modes, which place their cloud themselves.
@@ -50,8 +50,7 @@ class Diagnosis:
     placements: tuple[Placement, ...]
     of_input: tuple[Finding, ...] = ()
     of_views: tuple[Finding, ...] = ()
-    weak: Finding | None = None
-    confirmed: bool = False
+    weak: tuple[Finding, ...] = ()
     notes: tuple[Finding, ...] = ()
     hidden: Mapping[int, Bits] = field(default_factory=dict)
     explanation: Explanation | None = None
@@ -61,8 +60,6 @@ class Diagnosis:
     @property
     def suspicious(self) -> tuple[Finding, ...]:
         """What makes a result doubtful: of the whole input, else of single views."""
-        if self.weak and self.confirmed:
-            return (self.weak,)
         return self.of_input or self.of_views
 
     @property
@@ -145,7 +142,7 @@ def _explained(
         diagnosis,
         of_input=found.of_input,
         of_views=of_views,
-        weak=None if diagnosis.hidden else found.weak,
+        weak=() if diagnosis.hidden else found.weak,
         explanation=found,
         most_confidence=most_confidence,
         outvoted=bool(of_views)

@@ -67,15 +67,14 @@ class Explanation:
     as_given : of the input as it is. best : under the best hypothesis, less its prior.
     of_input : alternatives that explain the whole input, likeliest first.
     of_views : what explains single views, where the input as a whole looks right.
-    weak : a hypothesis under which silhouettes agree somewhat better; None unless nothing was
-        assumed and nothing is found.
+    weak : alternatives under which silhouettes agree somewhat better; () if anything is found.
     """
 
     as_given: float
     best: float
     of_input: tuple[Finding, ...] = ()
     of_views: tuple[Finding, ...] = ()
-    weak: Finding | None = None
+    weak: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -128,14 +127,14 @@ class Table:
         self.priors = np.array([candidate.prior for candidate in self.candidates])
         self.of_cloud = np.array([candidate.of_cloud for candidate in self.candidates])
 
-    def scores(self, views: Indices, candidates: Bits | None = None) -> Array:
+    def scores(self, views: Indices, better_than_stretched: float = BETTER_THAN_STRETCHED) -> Array:
         """[C], the mean IoU of ``views`` less the prior; 0 if other proportions explain as much."""
         ious = self.ious[:, views].mean(1)
         scores = ious - self.priors
         stretched = self.stretched[views].mean()
-        scores[self.turns & (ious < stretched + BETTER_THAN_STRETCHED)] = 0.0
+        scores[self.turns & (ious < stretched + better_than_stretched)] = 0.0
         scores[0] = 0.0
-        return scores if candidates is None else np.where(candidates, scores, 0.0)
+        return scores
 
     def likely(self, views: Indices, scores: Array, margin: float = Margin.FOUND) -> list[Finding]:
         """Candidates that explain ``views``, likeliest first.
@@ -177,10 +176,12 @@ def explain(
     if not pairs and (found := table.likely(shown, scores)):
         return Explanation(as_given, best, tuple(found))
     of_views = pairs or _of_views(table, shown)
-    weak = None
-    if len(shown) == len(outlines) and not given and not of_views:
-        weak = next(iter(table.likely(everything, whole, Margin.WEAK)), None)
-    return Explanation(as_given, best, of_views=tuple(of_views), weak=weak)
+    weak: list[Finding] = []
+    if len(shown) == len(outlines) and not of_views:
+        # Short optimisations tell a turned object from a stretched one better than cells do.
+        scores = table.scores(everything, better_than_stretched=0.0)
+        weak = table.likely(everything, scores, Margin.WEAK)
+    return Explanation(as_given, best, of_views=tuple(of_views), weak=tuple(weak))
 
 
 def _candidates(given: tuple[Assumption, ...], cameras: Sequence[Camera]) -> Iterator[Candidate]:
@@ -227,7 +228,8 @@ def _of_views(table: Table, shown: Indices) -> list[Finding]:
             continue
         before = as_given[others].mean()
         alone = ~table.of_cloud & (table.ious[:, others].mean(1) < before + Margin.SIMILAR)
-        found += table.likely(np.array([view]), table.scores(np.array([view]), alone))[:1]
+        scores = np.where(alone, table.scores(np.array([view])), 0.0)
+        found += table.likely(np.array([view]), scores)[:1]
     return found
 
 

@@ -1,9 +1,10 @@
-"""Verification: what two short optimisations say of a hypothesis, and of a mirror plane."""
+"""Verification: what short optimisations say of hypotheses, and of a mirror plane."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from ..cloud.smooth_field import SmoothField
@@ -24,39 +25,46 @@ LOSS_LEFT = 0.62
 LOSS_RATIO_OF_ONE, LOSS_RATIO_OF_SEVERAL = 1.15, 1.1
 
 
-def verify_hypothesis(
+def verify_hypotheses(
     diagnosis: Diagnosis,
     problem: Problem,
     read: Sequence[View],
+    given: Sequence[Assumption],
     settings: Settings,
     until: float = math.inf,
 ) -> Diagnosis:
-    """The diagnosis, whose weak hypothesis is confirmed where the optimisation says so too.
+    """The diagnosis, whose weak hypotheses are found or dropped as the optimisation says.
 
-    Silhouettes may agree somewhat better under a hypothesis by chance. Two short optimisations are
-    compared, as given and under the hypothesis, both without a mirror plane. An object of another
-    shape fits both about as well; the same object, seen rightly, fits far better.
+    Silhouettes may agree somewhat better under a hypothesis by chance. Short optimisations are
+    compared, as given and under each hypothesis, all without a mirror plane. An object of another
+    shape fits them about as well; the same object, seen rightly, fits far better.
 
     Nothing is confirmed with another preset than "best", with depth maps or photos, or without
-    time ``until`` then (`final_losses`). ``read`` are the views as they were read. Raises
-    KeyboardInterrupt where Ctrl-C ended an optimisation.
+    time ``until`` then (`final_losses`). ``read`` are the views as they were read, which are meant
+    as the assumptions ``given`` say. Raises KeyboardInterrupt where Ctrl-C ended an optimisation.
     """
-    weak = diagnosis.weak
-    if weak is None or not (settings.smooth and settings.steps and problem.masks_alone):
+    if not (diagnosis.weak and settings.smooth and settings.steps and problem.masks_alone):
         return diagnosis
     start = problem.cloud.start
     weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start).loss
-    assumed = [Assumption(one) for one in weak.hypotheses]
     without_plane = problem.with_symmetry(SymmetryDecision("not_asked"))
-    try:
-        changed = without_plane.with_views(as_meant(view, assumed) for view in read)
-        problems = problem.without_flipped(), changed
-        losses = final_losses(problems, weights, SmoothField(start), until)
-    except InputError:
-        # The mask shows nothing where the hypothesis has its object.
+    problems, compared = [problem.without_flipped()], []
+    for weak in diagnosis.weak:
+        assumed = [one for one in given if one != weak.without]
+        if not weak.without:
+            assumed += map(Assumption, weak.hypotheses)
+        # The mask may show nothing where the hypothesis has its object.
+        with suppress(InputError):
+            problems.append(without_plane.with_views(as_meant(view, assumed) for view in read))
+            compared.append(weak)
+    losses = final_losses(problems, weights, SmoothField(start), until) if compared else None
+    if losses is None:
         return diagnosis
-    confirmed = losses is not None and losses[1] < LOSS_LEFT * losses[0]
-    return replace(diagnosis, confirmed=confirmed)
+    least = LOSS_LEFT * losses[0]
+    found = [weak for weak, loss in zip(compared, losses[1:], strict=True) if loss < least]
+    if not found:
+        return replace(diagnosis, weak=())
+    return replace(diagnosis, of_input=tuple(found), weak=(), outvoted=False)
 
 
 def verify_plane(

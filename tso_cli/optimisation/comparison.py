@@ -17,20 +17,20 @@ from .problem import Problem
 
 # The share of the time left that a comparison may take.
 TIME_SHARE = 0.5
-# This number of steps shows how long an optimisation will take, up to this factor.
+# This number of steps shows how long two optimisations will take, up to this factor.
 TIMED_STEPS, TIMING_FACTOR = 6, 1.5
 
 
 def final_losses(
-    problems: tuple[Problem, Problem],
+    problems: Sequence[Problem],
     weights: Sequence[float],
     field: SmoothField,
     until: float = math.inf,
-) -> tuple[float, float] | None:
-    """The losses that two problems of the same cloud end with after a few steps.
+) -> list[float] | None:
+    """The losses that problems of the same cloud end with after a few steps.
 
-    ``weights`` are of the given views; ``field`` is of the start. None if the two optimisations do
-    not fit into a part of the time left ``until`` then (`time.perf_counter`).
+    ``weights`` are of the given views; ``field`` is of the start. None if the optimisations do not
+    fit into a part of the time left ``until`` then (`time.perf_counter`).
 
     Raises KeyboardInterrupt where Ctrl-C ended one of them.
     """
@@ -39,7 +39,7 @@ def final_losses(
         for problem in problems
     ]
     end = time.perf_counter() + TIME_SHARE * (until - time.perf_counter())
-    if end < math.inf and not _in_time(runs[0], end):
+    if end < math.inf and not _in_time(runs, end):
         return None
     losses = []
     for run in runs:
@@ -50,16 +50,17 @@ def final_losses(
             return None
         # `best_loss` has no position prior, which says how far the cloud had to move.
         losses.append(float(np.nanmin(optimised.losses)))
-    return losses[0], losses[1]
+    return losses
 
 
-def _in_time(first: Callable[..., Optimised], end: float) -> bool:
-    """Whether both are done by the ``end``; the second takes at most as long as the ``first``."""
+def _in_time(runs: Sequence[Callable[..., Optimised]], end: float) -> bool:
+    """Whether all are done by the ``end``; each takes at most as long as the first."""
     # The first time, factors are computed that later runs use.
     for steps in (0, TIMED_STEPS):
         if (started := time.perf_counter()) >= end:
             return False
-        if first(steps).interrupted:
+        if runs[0](steps).interrupted:
             raise KeyboardInterrupt
     now = time.perf_counter()
-    return now + TIMING_FACTOR * COMPARISON_STEPS / TIMED_STEPS * (now - started) < end
+    longer = TIMING_FACTOR * len(runs) / 2 * COMPARISON_STEPS / TIMED_STEPS
+    return now + longer * (now - started) < end

@@ -8,7 +8,7 @@ from functools import partial
 from ..cloud.cloud import ControlledCloud
 from ..diagnosis.examine import Diagnosis, NoOverlapError, examine
 from ..diagnosis.placement import require_plane_through
-from ..diagnosis.verification import verify_hypothesis, verify_plane
+from ..diagnosis.verification import verify_hypotheses, verify_plane
 from ..geometry.arrays import Array
 from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
@@ -82,7 +82,7 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
     if diagnosis.weak:
         problem = prepare(cloud, scene.views, settings)
-        diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
+        diagnosis = _with_hypotheses_verified(scene, diagnosis, problem, settings, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
     return diagnosis, cloud, move
@@ -154,8 +154,8 @@ def _examined(scene: RefineScene, cloud: ControlledCloud, settings: Settings) ->
 def _verified(
     scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
 ) -> tuple[Diagnosis, WeighedProblem]:
-    """Short optimisations decide about a weak hypothesis and about a mirror plane."""
-    diagnosis = _with_hypothesis_verified(scene, diagnosis, problem, settings, clock)
+    """Short optimisations decide about weak hypotheses and about a mirror plane."""
+    diagnosis = _with_hypotheses_verified(scene, diagnosis, problem, settings, clock)
     until = clock.until(settings.seconds)
     with clock.phase("prepare"):
         weighed = weigh(problem, settings)
@@ -166,11 +166,12 @@ def _verified(
     return diagnosis, weighed
 
 
-def _with_hypothesis_verified(
+def _with_hypotheses_verified(
     scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
 ) -> Diagnosis:
-    if diagnosis.weak is None:
+    if not diagnosis.weak:
         return diagnosis
     until = clock.until(settings.seconds)
-    verify = partial(verify_hypothesis, diagnosis, problem, scene.read, settings, until)
+    meant = scene.read, scene.assumptions
+    verify = partial(verify_hypotheses, diagnosis, problem, *meant, settings, until)
     return clock.attempt("check mistake", verify, diagnosis)

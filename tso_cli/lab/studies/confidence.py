@@ -42,8 +42,8 @@ DRAWS = 3
 
 The fit sees validation shapes alone: the learned prior was trained on the training shapes.
 """
-LEARNED = {"floor under the object": (20.0, 50.0, 100.0)}
-"""Levels that the fit sees for every case: drawn at random they are too rare to be learned."""
+RIGHT_MASKS = (1, 2, 4)
+"""The fit sees each case without an alteration with so many masks."""
 WHOLE_STEP = Variant(RefineConfig(accept_doubtful=True))
 """So much work that compiled loops pay."""
 WORSE = 1.05
@@ -74,21 +74,20 @@ def alterations(
 ) -> Iterator[Run]:
     """A case as it is, and with ``count`` alterations, each at a random level.
 
-    ``to_fit`` adds `LEARNED`. ``other`` has the mask of another object.
+    ``to_fit`` repeats the case as it is with `RIGHT_MASKS`. ``other`` has the mask of another
+    object.
     """
     words = (zlib.crc32(word.encode()) for word in (case.shape, case.kind))
     rng = np.random.default_rng([seed, *words, case.view])
     for axis in (UNALTERED, *rng.choice(np.array(ALTERED, dtype=object), count)):
         most = HIGHEST_LEVEL.get(axis.name, np.inf)
         level = float(rng.choice([level for level in axis.levels if level <= most]))
-        yield _run(axis, level, case, other, rng)
-    for axis in (axis for axis in ALTERED if to_fit and axis.name in LEARNED):
-        yield from (_run(axis, level, case, other, rng) for level in LEARNED[axis.name])
-
-
-def _run(axis: Axis, level: float, case: Case, other: Case, rng: np.random.Generator) -> Run:
-    masks = int(rng.choice(MASKS))
-    return Run(axis, level, case, other, np.random.default_rng(rng.integers(1 << 32)), masks)
+        masks = int(rng.choice(MASKS))
+        own = np.random.default_rng(rng.integers(1 << 32))
+        if axis != UNALTERED or not to_fit:
+            yield Run(axis, level, case, other, own, masks)
+    for masks in RIGHT_MASKS if to_fit else ():
+        yield Run(UNALTERED, 1.0, case, other, rng, masks)
 
 
 def rows_of(runs: Iterable[Run]) -> list[Row]:
