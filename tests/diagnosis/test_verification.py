@@ -32,7 +32,7 @@ def verified(view: View, weak: str = "", until: float = np.inf, **config) -> Dia
     diagnosis = examine(cloud, [view], [view])
     if weak:
         diagnosis = replace(diagnosis, weak=(Finding(weak, (0,)),))
-    assert diagnosis.weak and not diagnosis.suspicious
+    assert diagnosis.suspicious == ()
     problem = prepare(cloud, [view], settings)
     return verify_hypotheses(diagnosis, problem, [view], (), settings, until)
 

@@ -19,7 +19,7 @@ from ...refinement import RefineConfig
 from .. import options
 from ..charts import draw_bars
 from ..options import Option
-from ..stability.axes import AXES, Axis
+from ..stability.axes import AXES
 from ..stability.runs import Outcome, Run, outcomes_of
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .cases import Case, CaseBuilder, kinds_of
