@@ -116,7 +116,7 @@ def _draw_boxes(axes: Axes) -> None:
         ("verify", "short optimisations test\nthe mirror plane and\nweak hypotheses"),
         ("move", "the learned prior moves\nthe start to a likely shape\nthat the masks show"),
         ("optimise", "a smooth displacement\nmakes points and masks\nagree"),
-        ("judge", "confidence and verdict:\ntake all, part or none\nof the displacement"),
+        ("judge", "confidence and verdict:\ntake the displacement\nor leave it"),
     )
     # Of a box, and from the left of a box to the left of the next.
     width, apart = 1.86, 2.15

@@ -36,6 +36,8 @@ def wrong(name: str, view: str = "") -> Assumption:
 def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
     says = HYPOTHESES[name].says
     sentence = f"it looks as if {says}: try --assume {name}"
+    if name.startswith("cloud-") and HYPOTHESES[name].turns:
+        sentence += ", or --move pose"
     assert ONE.suspicion([Finding(name, (0,), 0.7)]) == sentence
     assert TWO.suspicion([Finding(name, (0, 1), 0.7)]) == sentence
     suspect = {"what": says, "option": f"--assume {name}", "score": 0.7}

@@ -72,13 +72,50 @@ def test_findings_of_a_result_and_of_a_refusal(findings, names, chair):
     assert findings_of(InputError("no object")) == ()
 
 
-def test_every_case_of_the_fit_has_the_levels_that_chance_would_bring_too_seldom():
+def test_the_fit_sees_each_case_as_it_is_with_one_two_and_four_masks():
     runs, to_fit = (list(confidence.alterations(CASE, CASE, 5, 0, fit)) for fit in (False, True))
-    drawn = [(run.axis.name, run.level) for run in to_fit]
-    assert drawn[:6] == [(run.axis.name, run.level) for run in runs]
-    learned = confidence.LEARNED.items()
-    assert drawn[6:] == [(name, level) for name, levels in learned for level in levels]
-    assert all(level in AXIS[name].levels for name, level in drawn[6:])
+    altered = [(run.axis.name, run.level) for run in runs[1:]]
+    assert runs[0].axis == confidence.UNALTERED
+    assert [(run.axis.name, run.level) for run in to_fit[:5]] == altered
+    as_it_is = [(run.axis, run.level, run.masks) for run in to_fit[5:]]
+    (level,) = confidence.UNALTERED.levels
+    assert as_it_is == [(confidence.UNALTERED, level, masks) for masks in (1, 2, 4)]
+
+
+def fitted_to(count, shared):
+    """The model of ``count`` right scenes and as many wrong ones, with two features.
+
+    Wrong scenes get worse where the points moved far; ``shared`` of right scenes do so anyhow.
+    """
+    rng, rows = np.random.default_rng(0), []
+    for number in range(2 * count):
+        right = number < count
+        far = float(rng.normal() + (0.0 if right else 2.0))
+        worse = rng.random() < (shared if right else 1.0 / (1.0 + np.exp(-2.0 * far)))
+        axis = confidence.UNALTERED.name if right else "mask dilated"
+        row = {"axis": axis, "moved": True, "ratio": 2.0 if worse else 0.5, "shape": f"{number}"}
+        rows.append((row, {"motion: across": far, "evidence: views": float(rng.normal())}))
+    return confidence.fitted(rows), rows
+
+
+def test_the_fit_finds_which_feature_shows_a_worse_result():
+    model, _ = fitted_to(2000, 0.02)
+    (_, _, far), (_, _, views) = model["features"].values()
+    assert far > 1.0
+    assert abs(views) < 0.1 * far
+
+
+def test_the_fit_is_calibrated_for_four_right_scenes_in_five():
+    model, rows = fitted_to(2000, 0.02)
+    logits = np.full(len(rows), model["offset"])
+    for name, (mean, deviation, slope) in model["features"].items():
+        logits += slope * (np.array([found[name] for _, found in rows]) - mean) / deviation
+    expected = 1.0 / (1.0 + np.exp(-logits))
+    worse = np.array([row["ratio"] > 1.05 for row, _ in rows])
+    weights = np.repeat([0.8, 0.2], 2000)
+    assert np.average(expected, weights=weights) == pytest.approx(
+        np.average(worse, weights=weights), abs=0.01
+    )
 
 
 class FakeBuilder:

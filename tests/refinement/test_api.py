@@ -257,7 +257,7 @@ def test_a_pole_thinner_than_a_cell_of_the_window_moves_onto_its_mask():
     rows = np.arange(20, 236)
     mask = block(np.s_[rows, rows // 6 + 106], (256, 256))
     camera = Camera.canonical(256, 256)
-    result = refine(pole, mask, camera)
+    result = refine(pole, mask, camera, RefineConfig(accept_doubtful=True))
     columns, rows = np.stack(
         [camera.project(cloud)[0] for cloud in (pole, result.points)]
     ).transpose(2, 0, 1)

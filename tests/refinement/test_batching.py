@@ -166,7 +166,7 @@ def test_after_an_interrupt_clouds_have_their_best_iterate_or_none(monkeypatch, 
         elif done == 1:
             raise KeyboardInterrupt
 
-    config = RefineConfig(steps=300, symmetry="none")
+    config = RefineConfig(steps=300, symmetry="none", accept_doubtful=True)
     first, *waiting = refine_batch([(POINTS, VIEW)] * 15, config, progress=interrupt)
     assert first.fit.stop_reason == "max_steps"
     assert all(isinstance(one, Interrupted) for one in waiting)

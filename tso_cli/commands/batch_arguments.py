@@ -266,7 +266,7 @@ def _check(item: Item, arguments: list[str], name: str) -> None:
             if chosen[written] is not None:
                 with _at(written.replace("_", "-")):
                     require_suffix(chosen[written], suffix)
-        check_options(chosen, chosen["strict"])
+        check_options(chosen)
     except click.UsageError as error:
         parameter = getattr(error, "param", None)
         column = f": {parameter.name.replace('_', '-')}" if parameter is not None else ""

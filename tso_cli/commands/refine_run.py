@@ -29,7 +29,7 @@ INTERRUPTED = 130
 """The exit code after Ctrl-C."""
 
 
-def check_options(chosen: Mapping[str, Any], strict: bool) -> None:
+def check_options(chosen: Mapping[str, Any]) -> None:
     """InputError for options that do not go together or are out of range; no file is read."""
     options.pick(InputOptions, chosen)
     if chosen["mode"] != "points":
@@ -42,17 +42,11 @@ def check_options(chosen: Mapping[str, Any], strict: bool) -> None:
                 )
     if chosen["refine_camera"] and chosen["move"] not in (None, "camera"):
         raise InputError(f"--refine-camera and --move {chosen['move']}, expected one of the two")
-    config = options.pick(RefineConfig, with_move(chosen))
-    settings = config.settings()
+    settings = options.pick(RefineConfig, with_move(chosen)).settings()
     if chosen["write_transform"] and settings.move in ("shape", "camera"):
         raise InputError(
             f"--write-transform is for a cloud that moves as one, found --move {settings.move}, "
             "which leaves it where it is"
-        )
-    if strict and not settings.smooth:
-        raise InputError(
-            "--strict is for results with a confidence, of --mode points --preset best, found "
-            f"--mode {config.mode} --preset {config.preset}"
         )
 
 
@@ -83,7 +77,7 @@ class RefineRun:
         self._given = given
         self._warned, self._strict, self._as_json = warned, strict, as_json
         self._quiet, self._verbose = quiet, verbose
-        check_options(chosen, strict)
+        check_options(chosen)
         self._inputs = options.pick(RefineInputs, chosen)
         source = self._inputs.source
         suffix = output_suffix(source) if self._inputs.mode == "points" else ".ply"

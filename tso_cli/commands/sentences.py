@@ -33,7 +33,7 @@ VERDICTS = {
     "grow by more than 5 %. The cloud is probably not harmed; it need not be better.",
     "unchanged": "No moved cloud was better than the initial cloud, so nothing moved.",
     "doubtful": "The Chamfer distance to the true shape may grow by more than 5 %.",
-    "": "There is no confidence for this kind of run. A rising IoU proves nothing.",
+    "": "There is no confidence in this run. A rising IoU proves nothing.",
 }
 # Options that mend what a note says.
 OPTIONS_OF_NOTES = {
@@ -43,11 +43,14 @@ OPTIONS_OF_NOTES = {
     "depth-ray": ": try --depth-kind ray",
     "depth-unrelated": " (--depth-kind z uses it all the same)",
     "rescaled": " (--depth-scale)",
+    "assumed-camera": " (--camera FILE, or --camera fit)",
     "assumed-picture": " (--camera FILE)",
     "unsure-place": " (`alternatives` in --json has the other places)",
 }
 # A factor of units is taken for a power of ten if it differs by less than this factor.
 NEAR_TEN = 1.25
+# Masks may turn a cloud themselves, whatever its axes are.
+ASK_FOR_A_TURN = "--move pose"
 ADVICE_OF_CAMERA = " (--move camera, or --move pose if the cloud is turned)"
 
 
@@ -73,6 +76,8 @@ class Words:
             return "; ".join(f"it looks as if {one['what']}: try {one['option']}" for one in parts)
         first, *others = map(self.what_and_option, findings)
         options = [first["option"], *(other["option"] for other in others)]
+        if any(map(_is_turned_cloud, findings)):
+            options.append(ASK_FOR_A_TURN)
         return f"it looks as if {first['what']}: try {', or '.join(options)}"
 
     def what_and_option(self, finding: Finding) -> dict[str, Any]:
@@ -181,8 +186,13 @@ class Words:
         return messages + self.notes(notes)
 
 
+def _is_turned_cloud(finding: Finding) -> bool:
+    alone = finding.hypotheses if len(finding.hypotheses) == 1 and not finding.without else ()
+    return any(one.of_cloud and one.turns for one in alone)
+
+
 def shown(confidence: float) -> str:
-    """With two places, rounded down: what is printed as 0.50 is not doubtful."""
+    """With two places, rounded down: what is printed as 0.80 is not doubtful."""
     return f"{confidence:.4f}"[:4]
 
 

@@ -147,7 +147,7 @@ def _explained(
         most_confidence=most_confidence,
         outvoted=bool(of_views)
         and len(views) >= FEWEST_VIEWS_TO_OUTVOTE
-        and suspicious <= OUTVOTED_SHARE * len(views),
+        and suspicious < OUTVOTED_SHARE * len(views),
     )
 
 

@@ -56,7 +56,7 @@ MOST_WIDTHS = 3
 MOST_ALTERNATIVES = 3
 # More views are not compared with the masks of others.
 MOST_PAIRED = 64
-# What is wrong with at most this share of the views is outvoted by the others.
+# What is wrong with less than this share of the views is outvoted by the others.
 OUTVOTED_SHARE = 0.5
 
 
@@ -171,7 +171,7 @@ def explain(
         return Explanation(as_given, best)
     scores = table.scores(shown)
     pairs = _mispaired(points, outlines, given, shown, float(scores.max()))
-    if pairs and len(pairs[0].views) > OUTVOTED_SHARE * len(outlines):
+    if pairs and len(pairs[0].views) >= OUTVOTED_SHARE * len(outlines):
         return Explanation(as_given, best, tuple(pairs))
     if not pairs and (found := table.likely(shown, scores)):
         return Explanation(as_given, best, tuple(found))

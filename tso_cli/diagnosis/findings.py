@@ -49,6 +49,8 @@ NOTES = {
     "scale": "the cloud's longest side is {size:.3g} and its distance from the camera "
     "{distance:.3g}; are both in one unit?",
     "rescaled": "the depth map asks for a cloud {times:.3g} times as large; are both in one unit?",
+    "assumed-camera": "no camera file was given or found next to the mask, so the canonical camera "
+    "is assumed; is it right?",
     "assumed-picture": "the network infers sizes from the whole picture, which without a camera "
     "file is taken for a picture of the canonical camera",
     "outliers": "points far from the rest stay where they are, and no measure counts them "

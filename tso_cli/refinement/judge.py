@@ -153,14 +153,13 @@ def _ending(
     diagnosis: Diagnosis,
     settings: Settings,
 ) -> _Ending:
-    weights = weighed.weights
     displacements = optimised.best - problem.cloud.start
     moved, of_shape = _moved(problem, displacements)
     # The learned prior may have moved a cloud that no step improved.
     improved = optimised.best_step > 0 or (optimised.begun is not None and displacements.any())
     kept: StopReason | None = None if improved else "not_improved"
     if settings.smooth and problem.masks_alone:
-        kept = _why_start_is_kept(problem, moved, of_shape, weights.loss) or kept
+        kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights.loss) or kept
     if kept:
         start = problem.cloud.moved(np.zeros_like(displacements))
         trust = (
@@ -177,14 +176,14 @@ def _ending(
     if unknown:
         trust = Trust.unknown(*unknown, diagnosis)
     else:
-        assert weighed.field is not None
-        of_problem = problem, weighed.field, optimised, of_shape
-        features = features_of(*of_problem, weights.inlier, diagnosis)
         explained = None if move.kind == "nothing" else move.explains
+        features = None
+        if settings.smooth and problem.masks_alone:
+            features = features_of(problem, optimised, diagnosis)
         trust = Trust.of(features, diagnosis, explained)
+    trust = trust.with_overlap(np.mean(of_shape, 0).min()).with_pose(diagnosis)
     if settings.accept_doubtful:
         trust = replace(trust, displacement_taken=1.0)
-    trust = trust.with_overlap(np.mean(of_shape, 0).min()).with_pose(diagnosis)
     if trust.displacement_taken == 0.0:
         moved, of_shape = _moved(problem, np.zeros_like(displacements))
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
@@ -204,8 +203,6 @@ def _why_unknown(
     # The confidence counts on a symmetry check of a cloud that has a mirror plane.
     late = (optimised.out_of_time and few) or problem.symmetry.outcome == "unchecked"
     reasons = (
-        ("mode", "only mode points with preset best has a confidence", not settings.smooth),
-        ("evidence", "a result with a depth map or a photo has none", not problem.masks_alone),
         ("points", f"{points} points are too few", points < FEWEST_CONTROL_POINTS),
         ("interrupted", "it was interrupted", few and optimised.interrupted),
         ("time", f"{settings.seconds:g} s were too few", late),

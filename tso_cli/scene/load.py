@@ -118,7 +118,10 @@ def _scene_of(
     read, origins = load_views(files)
     mirrored = MIRRORED if left_handed(assumptions) else ""
     described = tuple(f"{origin}{mirrored}" for origin in origins)
-    given = RefineScene(cloud, tuple(read), assumptions)
+    known = [
+        Finding("assumed-camera", (i,)) for i, origin in enumerate(origins) if origin.file is None
+    ]
+    given = RefineScene(cloud, tuple(read), assumptions, tuple(known))
     return Scene(given, described, summary_of(origins), "input", file)
 
 

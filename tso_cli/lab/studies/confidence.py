@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...diagnosis.confidence import LEAST_CONFIDENCE, MODEL
+from ...diagnosis.confidence import LEAST_CONFIDENCE, MODEL, MOST_DEVIATIONS
 from ...io.output import atomic_output
 from ...kernels.dispatch import decided
 from ...refinement import RefineConfig
@@ -47,11 +47,8 @@ RIGHT_MASKS = (1, 2, 4)
 WHOLE_STEP = Variant(RefineConfig(accept_doubtful=True))
 """So much work that compiled loops pay."""
 WORSE = 1.05
-# The model: tanh units of a network, networks that it is the mean of, and their training. The
-# weight decay was chosen by cross-validation; the mean of more networks varies less.
-HIDDEN, NETWORKS, EPOCHS, BATCH, RATE, DECAY = 64, 8, 100, 128, 1e-2, 0.2
-# Features are clipped at this many standard deviations.
-CLIP = 4.0
+# The confidence is meant for users of whom so many have right input.
+RIGHT_SHARE = 0.8
 BINS = 10
 LEAST_AUC, LEAST_NAMED = {"all": 0.93, "camera and mask": 0.85}, 0.9
 CONVENTION = {
@@ -113,7 +110,8 @@ def row_of(outcome: Outcome) -> Row | None:
     row |= {"ratio": round(ratio, 4), "confidence": round(result.trust.confidence or 0.0, 4)}
     row |= {"flagged": result.trust.verdict == "doubtful", "moved": result.fit.outcome == "moved"}
     row |= {"iou_gain": round(result.fit.iou_after - result.fit.iou_before, 4)}
-    return row, result.trust.features
+    # What moved as one has a confidence of its own.
+    return row, {} if result.move.explains else result.trust.features
 
 
 def _jobs(
@@ -170,47 +168,43 @@ def _records(job: Callable[[], list[Row]]) -> Cases:
     return [record for record, _ in job()]
 
 
-def fitted(rows: Sequence[Row], seed: int = 0) -> Record:
-    """The model of `tso_cli.diagnosis.confidence`: the mean of small networks, by cross-entropy."""
-    import torch
+def fitted(rows: Sequence[Row]) -> Record:
+    """The model of `tso_cli.diagnosis.confidence`: a logistic regression.
 
-    chosen = [
-        (row["ratio"] > WORSE, features) for row, features in rows if features and row["moved"]
-    ]
+    Its logits are calibrated for `RIGHT_SHARE` of right scenes.
+    """
+    chosen = [(row, features) for row, features in rows if features and row["moved"]]
     names = max((list(features) for _, features in chosen), key=len)
     # Where the learned prior gave no answer, some features are not known.
-    chosen = [(is_worse, features) for is_worse, features in chosen if len(features) == len(names)]
+    chosen = [(row, features) for row, features in chosen if len(features) == len(names)]
     values = np.array([[features[name] for name in names] for _, features in chosen])
-    worse = torch.tensor([float(is_worse) for is_worse, _ in chosen])
-    mean, deviation = values.mean(0), values.std(0) + 1e-6
-    standard = torch.tensor(np.clip((values - mean) / deviation, -CLIP, CLIP), dtype=torch.float32)
-    layers = []
-    for network in range(NETWORKS):
-        torch.manual_seed(seed + network)
-        hidden, output = torch.nn.Linear(len(names), HIDDEN), torch.nn.Linear(HIDDEN, 1)
-        weights = [*hidden.parameters(), *output.parameters()]
-        adam = torch.optim.AdamW(weights, RATE, weight_decay=DECAY)
-        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, EPOCHS)
-        for _ in range(EPOCHS):
-            for batch in torch.randperm(len(worse)).split(BATCH):
-                logits = output(torch.tanh(hidden(standard[batch])))[:, 0]
-                loss = torch.nn.functional.binary_cross_entropy_with_logits(logits, worse[batch])
-                adam.zero_grad()
-                loss.backward()
-                adam.step()
-            schedule.step()
-        tensors = (hidden.weight.T, hidden.bias, output.weight[0], output.bias)
-        layers.append([tensor.detach().numpy() for tensor in tensors])
-    inputs, offsets, outputs, biases = zip(*layers, strict=True)
-    model = {
-        "mean": mean,
-        "deviation": deviation,
-        "hidden": np.concatenate(inputs, 1),
-        "offset": np.concatenate(offsets),
-        "output": np.append(np.concatenate(outputs) / NETWORKS, np.mean(biases)),
-    }
-    numbers = {key: np.round(array.astype(float), 4).tolist() for key, array in model.items()}
-    return {"features": names, **numbers}
+    worse = np.array([float(row["ratio"] > WORSE) for row, _ in chosen])
+    right = np.array([row["axis"] == UNALTERED.name for row, _ in chosen])
+    weights = np.where(right, RIGHT_SHARE / right.sum(), (1.0 - RIGHT_SHARE) / (~right).sum())
+    mean, deviation = values.mean(0), values.std(0)
+    standard = np.clip((values - mean) / deviation, -MOST_DEVIATIONS, MOST_DEVIATIONS)
+    *slopes, offset = _logistic(standard, worse, np.full(len(worse), 1.0 / len(worse)))
+    logits = standard @ slopes + offset
+    scale, shift = _logistic(logits[:, None], worse, weights)
+    terms = np.stack([mean, deviation, scale * np.array(slopes)], 1).round(4).tolist()
+    offset = round(float(scale * offset + shift), 4)
+    return {"offset": offset, "features": dict(zip(names, terms, strict=True))}
+
+
+def _logistic(
+    values: NDArray[np.float64], worse: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The slope of each column of ``values`` [N, F], and the offset, by weighted cross-entropy."""
+    from scipy.optimize import minimize
+
+    columns = np.column_stack([values, np.ones(len(values))])
+
+    def loss(slopes: NDArray[np.float64]) -> float:
+        logits = columns @ slopes
+        return float((weights * (np.logaddexp(0.0, logits) - worse * logits)).sum())
+
+    slopes: NDArray[np.float64] = minimize(loss, np.zeros(columns.shape[1])).x
+    return slopes
 
 
 def auc(confidence: NDArray[np.float64], worse: NDArray[np.bool_]) -> float | None:
