@@ -11,7 +11,7 @@ from scipy.stats import spearmanr
 from tests.scenes import Example, block, depth_of, example
 from tso_cli import Camera, View
 from tso_cli.diagnosis.depth_kinds import along_z, fitted, line
-from tso_cli.diagnosis.depth_map import Surface, wrong_maps
+from tso_cli.diagnosis.depth_map import SeenSurface, wrong_maps
 
 from .common import EXAMPLES
 
@@ -38,7 +38,7 @@ def starts(scene: Example) -> dict[str, np.ndarray]:
 
 
 def held(points: np.ndarray, view: View) -> str:
-    return Surface.of(points, view).held()
+    return SeenSurface.of(points, view).held()
 
 
 # What a map holds
@@ -143,7 +143,7 @@ def test_a_flat_or_small_object_tells_nothing_but_another_unit():
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_the_rank_correlation_is_spearmans(name):
-    surface = Surface.of(SCENES[name].points, with_map(name, DEPTHS[name].round(1)))
+    surface = SeenSurface.of(SCENES[name].points, with_map(name, DEPTHS[name].round(1)))
     assert surface.rank == pytest.approx(spearmanr(surface.values, surface.depth).statistic)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..geometry.arrays import Array
 from ..geometry.depth_kind import FITTED
 from ..geometry.view import View
-from .depth_map import FEWEST_BLOCKS, RELATED, Surface
+from .depth_map import FEWEST_BLOCKS, RELATED, SeenSurface
 from .findings import Finding
 
 # Of the robust line: how often its weights are found, and its scale in median distances.
@@ -38,7 +38,7 @@ def _fitted(points: Array, view: View, number: int) -> tuple[View, Finding | Non
     kind, depth = view.depth_kind, view.depth
     if depth is None or kind not in FITTED:
         return view, None
-    surface = Surface.of(points, view)
+    surface = SeenSurface.of(points, view)
     power, what = (-1.0, "1 / depth") if kind == "inverse" else (1.0, "depth")
     values: dict[str, float | str]
     values = {"kind": kind, "what": what, "rank": surface.rank, "places": len(surface.depth)}

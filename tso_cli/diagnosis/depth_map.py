@@ -47,7 +47,7 @@ LEAST_COVERED, DENSE, FEWEST_PIXELS = 0.6, 0.8, 100
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class SeenSurface:
     """The foremost surface of a cloud where a map is known: [B] numbers, one for each block.
 
     values : of the map. depth : of the cloud, along z. ray : as `Camera.ray_lengths`.
@@ -61,7 +61,7 @@ class Surface:
     covered: float
 
     @classmethod
-    def of(cls, points: Array, view: View) -> Surface:
+    def of(cls, points: Array, view: View) -> SeenSurface:
         """Of ``points`` [N, 3], as a ``view`` with a depth map sees them."""
         assert view.depth is not None
         px, depth = view.camera.project(points)
@@ -154,12 +154,12 @@ class Surface:
 def wrong_maps(points: Array, views: Sequence[View], any_size: bool = False) -> list[Finding]:
     """The maps of kind "auto" that hold something else than depth along z.
 
-    ``points`` [N, 3] are those of a cloud in its place; ``any_size`` as in `Surface.held`.
+    ``points`` [N, 3] are those of a cloud in its place; ``any_size`` as in `SeenSurface.held`.
     """
     found = []
     for number, view in enumerate(views):
         if view.depth is not None and view.depth_kind == "auto":
-            surface = Surface.of(points, view)
+            surface = SeenSurface.of(points, view)
             if (held := surface.held(any_size)) != "z":
                 found.append(Finding(f"depth-{held}", (number,), values=surface.figures))
     return found
