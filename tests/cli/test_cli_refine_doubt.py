@@ -38,7 +38,7 @@ def test_the_json_of_a_result_and_of_a_check_have_the_same_entries_of_a_verdict(
     assert set(result) >= CONTRACT
     assert set(check) >= CONTRACT
     assert result["verdict"] == "improved"
-    assert 0.5 < result["confidence"] <= 1.0
+    assert 0.8 <= result["confidence"] <= 1.0
     assert check["verdict"] is None
     assert check["confidence"] is None
     for document in (result, check):
@@ -118,6 +118,16 @@ def test_a_result_of_an_unsure_camera_is_doubtful(folder, refine, options):
     assert check["reason"] == result["reason"]
     assert (result["confidence"] or 0.0) <= 0.5
     assert result["step_taken"] == 0.0
+
+
+def test_without_a_camera_file_no_result_is_sure(folder, refine):
+    Path("camera.json").unlink()
+    for more in ((), ("--check",)):
+        run = refine(*POINTS, *more, "--json")
+        assert "mask.png: no camera was given" in run.err
+        assert "(--camera FILE, or --camera fit)" in run.err
+    result = refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document
+    assert result["confidence"] <= 0.8
 
 
 def test_strict_writes_nothing_of_an_unsure_camera(folder, refine, tmp_path):

@@ -344,15 +344,15 @@ def test_notes_follow_the_warnings_of_a_result(moved):
 
 def test_an_unsure_camera_is_said_once(moved):
     camera = Finding("unsure-camera", (0,), values={"why": "two poses fit"})
-    trust = Trust("improved", 0.9).with_pose(Diagnosis((), notes=(camera,)))
+    trust = Trust("improved", 0.9).limited(Diagnosis((), notes=(camera,)), 0.6, 0.9)
     (warning,) = ONE.warnings(changed(moved, trust=trust, findings=(camera,)))
     assert warning.endswith("the fitted camera is unsure: two poses fit")
 
 
 @pytest.mark.parametrize(
-    ("confidence", "text"), [(0.4999, "0.49"), (0.5, "0.50"), (0.999, "0.99"), (1.0, "1.00")]
+    ("confidence", "text"), [(0.7999, "0.79"), (0.8, "0.80"), (0.999, "0.99"), (1.0, "1.00")]
 )
-def test_a_confidence_is_rounded_down_so_that_a_half_is_not_doubtful(confidence, text):
+def test_a_confidence_is_rounded_down_so_that_a_printed_limit_is_not_doubtful(confidence, text):
     assert shown(confidence) == text
 
 

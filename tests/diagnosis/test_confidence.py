@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.scenes import about, example, in_photo
+from tests.scenes import about, example, in_photo, seen, turned
 from tso_cli import RefineConfig, View, refine, refine_batch
 from tso_cli.diagnosis.confidence import (
     FINDING,
@@ -34,6 +34,9 @@ from tso_cli.refinement.scene import as_scene
 from .common import EXAMPLES, changed, named
 
 CHAIR, AIRPLANE = example("chair"), example("airplane")
+FOUR = tuple(
+    seen(AIRPLANE.target, turned(AIRPLANE.camera, angle)) for angle in (0.0, 90.0, 180.0, 270.0)
+)
 INVERTED = changed(CHAIR.view, "mask-inverted")
 NOTHING = Diagnosis(())
 OPENGL = Diagnosis((), of_input=(Finding("opengl", (0,)),))
@@ -105,13 +108,13 @@ def test_a_suspicious_finding_leaves_the_cloud_unless_other_views_outvote_it(
 
 
 def test_without_overlap_before_or_after_nothing_is_sure(right):
-    trust = right.trust.with_overlap(0.05)
+    trust = right.trust.limited(NOTHING, 0.05, 0.9)
     assert trust.verdict == "doubtful"
     assert trust.confidence == MOST_IF_UNSURE
     assert trust.reason == "overlap"
     assert "IoU 0.05" in trust.says
-    assert right.trust.with_overlap(0.1) == right.trust
-    assert Trust.unchanged(OPENGL).with_overlap(0.05).reason == FINDING
+    assert right.trust.limited(NOTHING, 0.1, 0.9) == right.trust
+    assert Trust.unchanged(OPENGL).limited(OPENGL, 0.05, 0.9).reason == FINDING
 
 
 def test_after_a_move_no_result_is_more_than_just_sure_enough(right, wrong):
@@ -129,7 +132,26 @@ def test_nor_is_one_with_a_camera_that_nobody_gave():
     note = Finding("assumed-camera", (0,))
     for trust in (Trust("improved", 0.97), Trust("unchanged", 1.0)):
         expected = replace(trust, confidence=MOST_IF_CAMERA_COUNTS)
-        assert trust.with_pose(replace(NOTHING, notes=(note,))) == expected
+        assert trust.limited(replace(NOTHING, notes=(note,)), 0.6, 0.9) == expected
+
+
+def test_a_cloud_that_hardly_fits_a_camera_that_nobody_gave_is_doubtful():
+    note = replace(NOTHING, notes=(Finding("assumed-camera", (0,)),))
+    trust = Trust("improved", 0.97).limited(note, 0.3, 0.9)
+    assert (trust.verdict, trust.reason) == ("doubtful", "assumed-camera")
+    assert trust.displacement_taken == 0.0
+    assert Trust("improved", 0.97).limited(NOTHING, 0.3, 0.9).verdict == "improved"
+
+
+def test_where_the_iou_falls_a_result_is_doubtful():
+    trust = Trust("improved", WITHOUT_FEATURES).limited(NOTHING, 0.9, 0.7)
+    assert (trust.verdict, trust.reason) == ("doubtful", "misfit")
+    assert trust.confidence == MOST_IF_UNSURE
+
+
+def test_without_features_a_finding_halves_the_confidence():
+    assert Trust.of(None, NOTHING).confidence == WITHOUT_FEATURES
+    assert Trust.of(None, OPENGL).confidence == MOST_IF_UNSURE
 
 
 def test_a_weak_hypothesis_that_is_not_confirmed_changes_nothing(right):
@@ -145,7 +167,7 @@ def test_a_start_that_is_kept_is_sure_and_doubtful_only_with_a_finding(diagnosis
     trust = Trust.unchanged(diagnosis)
     assert trust.verdict == verdict
     assert trust.reason == reason
-    assert trust.confidence == 1.0
+    assert trust.confidence == (None if reason else 1.0)
     assert trust.displacement_taken == 0.0
 
 
@@ -168,12 +190,12 @@ def unsure(diagnosis: Diagnosis, name: str = "unsure-camera") -> Diagnosis:
 
 def test_a_sure_camera_costs_no_confidence():
     trust = Trust("improved", 0.97)
-    assert trust.with_pose(NOTHING) == trust
+    assert trust.limited(NOTHING, 0.6, 0.9) == trust
 
 
 @pytest.mark.parametrize("confidence", [0.97, 0.3, None])
 def test_an_unsure_camera_makes_any_result_doubtful(confidence):
-    trust = Trust("improved", confidence).with_pose(unsure(NOTHING))
+    trust = Trust("improved", confidence).limited(unsure(NOTHING), 0.6, 0.9)
     assert trust.verdict == "doubtful"
     assert trust.reason == "unsure-camera"
     assert trust.says == "the fitted camera is unsure: two poses fit"
@@ -182,16 +204,16 @@ def test_an_unsure_camera_makes_any_result_doubtful(confidence):
 
 
 def test_so_does_an_unsure_place_of_the_cloud():
-    trust = Trust("improved", 0.9).with_pose(unsure(NOTHING, "unsure-place"))
+    trust = Trust("improved", 0.9).limited(unsure(NOTHING, "unsure-place"), 0.6, 0.9)
     assert (trust.verdict, trust.confidence) == ("doubtful", MOST_IF_UNSURE)
     assert trust.says == "the place of the cloud is unsure: two poses fit"
 
 
 def test_a_finding_is_the_reason_also_with_an_unsure_camera():
-    trust = Trust.unchanged(OPENGL).with_pose(unsure(OPENGL))
+    trust = Trust.unchanged(OPENGL).limited(unsure(OPENGL), 0.6, 0.9)
     assert trust.reason == FINDING
     assert trust.says == words_of(OPENGL)
-    assert trust.confidence == MOST_IF_UNSURE
+    assert trust.confidence is None
 
 
 @pytest.mark.parametrize(
@@ -237,6 +259,17 @@ def test_the_reason_is_the_group_without_which_the_confidence_would_be_highest(w
     assert without[group][0] == max(confidence for confidence, _ in without.values())
 
 
+def test_the_order_of_the_views_does_not_matter():
+    views = [changed(view, "mask-inverted") if i == 1 else view for i, view in enumerate(FOUR)]
+    config = RefineConfig(accept_doubtful=True, symmetry="none")
+    found = [
+        refine(AIRPLANE.points, [views[i] for i in order], config=config).trust
+        for order in ([0, 1, 2, 3], [1, 2, 3, 0], [3, 2, 0, 1])
+    ]
+    for trust in found[1:]:
+        assert trust.confidence == pytest.approx(found[0].confidence, abs=0.02)
+
+
 # Of refinements
 
 
@@ -246,7 +279,7 @@ def test_a_result_of_right_input_is_trusted(name):
     result = refine(scene.points, scene.view)
     assert result.trust.verdict == "improved"
     assert result.trust.reason == ""
-    assert result.trust.confidence > 0.6
+    assert result.trust.confidence >= LEAST_CONFIDENCE
     assert result.findings == ()
 
 
@@ -283,7 +316,7 @@ def test_a_displacement_of_no_confidence_is_not_taken_unless_accepted():
     assert accepted.fit.moved_mean > 0.01
 
 
-def _judged(diagnosis: Diagnosis) -> RefineResult:
+def _judged(diagnosis: Diagnosis, inlier_weight: float = 1.0) -> RefineResult:
     """The aeroplane's result from right input, if its input had this ``diagnosis``."""
     settings = RefineConfig().settings(1)
     scene = as_scene(AIRPLANE.points, AIRPLANE.view)
@@ -297,15 +330,18 @@ def _judged(diagnosis: Diagnosis) -> RefineResult:
     begin = beginning(verified, weighed.weights.loss, weighed.field, prior)
     optimised, problem = optimise(weighed, settings, settings.steps, begin=begin)
     still = unmoved(scene.views)
+    weights = replace(weighed.weights, inlier=[inlier_weight])
+    weighed = replace(weighed, weights=weights)
     return judge(weighed, problem, optimised, scene.views, still, diagnosis, settings, seconds={})
 
 
 def test_a_result_of_suspicious_input_is_never_called_an_improvement():
-    result = _judged(replace(BOX, outvoted=True))
-    assert result.trust.confidence > LEAST_CONFIDENCE
-    assert result.trust.verdict == "doubtful"
-    assert result.trust.displacement_taken == 1.0
-    assert result.trust.reason == FINDING
+    for inlier_weight, taken in ((0.3, 1.0), (0.6, 0.0)):
+        result = _judged(replace(BOX, outvoted=True), inlier_weight)
+        assert (result.trust.confidence > LEAST_CONFIDENCE) == bool(taken)
+        assert result.trust.verdict == "doubtful"
+        assert result.trust.displacement_taken == taken
+        assert result.trust.reason == FINDING
 
 
 def test_a_finding_costs_confidence_by_itself():

@@ -149,7 +149,7 @@ def test_what_the_confidence_is_the_page_says_once(folder, refine):
     sure, none = (visible_answers(Path(name).read_text()) for name in ("sure.html", "none.html"))
     assert sure.count("Chamfer distance") == 1
     assert "<b>Confidence</b>" not in none
-    assert "There is no confidence for this kind of run." in none
+    assert "There is no confidence in this run." in none
 
 
 def test_a_mesh_whose_vertices_move_farther_than_its_control_points_has_both_numbers(pages):

@@ -46,14 +46,14 @@ CONVENTION = {
     "some points of a large cloud; all others follow them",
     "outliers": "points far from the rest, which stay where they are",
     "confidence": "probability that the whole displacement does not make the cloud worse by over "
-    "5 % in Chamfer distance (a rising IoU is no proof); 1 where nothing moved; null except for "
-    "the default preset in points mode",
+    "5 % in Chamfer distance (a rising IoU is no proof); 1 where the start is best; null where "
+    "it is not known",
     "determined": "share of the motions of the points that masks and depth maps fix more firmly "
     "than a position prior; one mask alone fixes at most about two thirds; null except for the "
     "default preset in points mode",
     "best_view": "where a further mask would determine most: degrees to the right of the first "
     "camera and above it, around the object; null without --point-confidence",
-    "step_taken": "1 if the displacement was taken, 0 if nothing moved",
+    "step_taken": "1 if the displacement was taken, 0 if it was left",
     "transform": "4x4, x' = matrix x takes the cloud as it was given to where it moved as one, "
     "before its shape changed; the identity where nothing or a camera moved",
     "moved_as": "nothing, shift, pose (turn and shift), similarity (and size) or camera",
@@ -63,7 +63,7 @@ CONVENTION = {
     "where it was given, and after it moved as one; null if nobody looked",
     "prior": "learned: the one that comes with the program",
     "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
-    "optimisation and before `step_taken`, as a share of the object's size",
+    "optimisation, also where it was left, as a share of the object's size",
     "saving": "share of the work that was saved: of the masks' pixels, the finest grid's cells, "
     "the points, the steps, the work that a mirror plane takes",
     "weight": "of a view in the loss: its trust, divided among the views that show the same",

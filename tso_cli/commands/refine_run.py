@@ -99,6 +99,7 @@ class RefineRun:
             self._inputs.invert_mask,
             [str(file) for file in self._inputs.depth],
             self._inputs.depth_scale or 1.0,
+            may_turn=self._settings.move in ("auto", "shape"),
         )
 
     def check(self) -> int:
@@ -107,7 +108,7 @@ class RefineRun:
             self._scene, self._settings, self._words, self._as_json, self._quiet, self._warned
         )
         if reason and self._strict:
-            raise GateError(f"{self._inputs.source}: is doubtful: {reason}")
+            raise GateError(f"{self._inputs.source}: the result would be doubtful: {reason}")
         return 0
 
     def refine(self) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 from ..diagnosis.assumptions import INVERTED, Assumption
 from ..diagnosis.confidence import FINDING
 from ..diagnosis.examine import IN_PIXELS, NoOverlapError
-from ..diagnosis.findings import OF_DEPTH_MAPS, Finding
+from ..diagnosis.findings import ASSUMED_CAMERA, OF_DEPTH_MAPS, Finding
 from ..diagnosis.placement import describe_box
 from ..errors import InputError
 from ..refinement import RefineResult
@@ -43,7 +43,7 @@ OPTIONS_OF_NOTES = {
     "depth-ray": ": try --depth-kind ray",
     "depth-unrelated": " (--depth-kind z uses it all the same)",
     "rescaled": " (--depth-scale)",
-    "assumed-camera": " (--camera FILE, or --camera fit)",
+    ASSUMED_CAMERA: " (--camera FILE, or --camera fit)",
     "assumed-picture": " (--camera FILE)",
     "unsure-place": " (`alternatives` in --json has the other places)",
 }
@@ -59,12 +59,14 @@ class Words:
     """Makes sentences about views with these ``names``; ``inverted`` by --invert-mask.
 
     depths : the files of their depth maps, if there are some. depth_scale : as it was given.
+    may_turn : whether the cloud may still be asked to turn as one.
     """
 
     names: Sequence[str]
     inverted: bool = False
     depths: Sequence[str] = ()
     depth_scale: float = 1.0
+    may_turn: bool = True
 
     def suspicion(self, findings: Sequence[Finding]) -> str:
         """What may be wrong with the input, and what to try; "" without findings."""
@@ -76,7 +78,7 @@ class Words:
             return "; ".join(f"it looks as if {one['what']}: try {one['option']}" for one in parts)
         first, *others = map(self.what_and_option, findings)
         options = [first["option"], *(other["option"] for other in others)]
-        if any(map(_is_turned_cloud, findings)):
+        if self.may_turn and any(map(_is_turned_cloud, findings)):
             options.append(ASK_FOR_A_TURN)
         return f"it looks as if {first['what']}: try {', or '.join(options)}"
 
@@ -178,8 +180,7 @@ class Words:
             sure = ""
             if trust.confidence is not None and trust.reason != FINDING:
                 sure = f" (confidence {shown(trust.confidence)})"
-            what = "the cloud" if result.move.kind in ("nothing", "camera") else "its shape"
-            taken = f", so {what} is left as it was" if fit.outcome == "refused" else ""
+            taken = ", so the cloud is left as it was" if fit.outcome == "refused" else ""
             messages.append(f"the result is doubtful{sure}{taken}: {reason}")
         # A note that is the reason of the doubt is said once.
         notes = [finding for finding in result.findings if finding.name != trust.reason]
@@ -214,7 +215,6 @@ def why_unmoved(result: RefineResult) -> str | None:
         "nothing_to_do": f"the cloud already agrees with all that {masks}",
         "not_improved": f"none of {fit.steps} steps agrees better with what {masks} than the start "
         "does",
-        "doubtful": "the displacement is doubtful",
     }[fit.stop_reason]
 
 

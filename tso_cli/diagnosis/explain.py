@@ -178,8 +178,8 @@ def explain(
     of_views = pairs or _of_views(table, shown)
     weak: list[Finding] = []
     if len(shown) == len(outlines) and not of_views:
-        # Short optimisations tell a turned object from a stretched one better than cells do.
-        scores = table.scores(everything, better_than_stretched=0.0)
+        # Cells may take a turned object for a stretched one; short optimisations see more.
+        scores = table.scores(everything, better_than_stretched=-BETTER_THAN_STRETCHED)
         weak = table.likely(everything, scores, Margin.WEAK)
     return Explanation(as_given, best, of_views=tuple(of_views), weak=tuple(weak))
 

@@ -29,6 +29,7 @@ OF_DEPTH_MAPS = {
     "depth-unfitted": "the map of kind {kind} cannot be fitted to the cloud (rank correlation with "
     "the cloud's depth {rank:.2f} in {places} places) and is ignored",
 }
+ASSUMED_CAMERA = "assumed-camera"
 # What is worth reading before a result is used.
 NOTES = {
     **OF_DEPTH_MAPS,
@@ -49,8 +50,7 @@ NOTES = {
     "scale": "the cloud's longest side is {size:.3g} and its distance from the camera "
     "{distance:.3g}; are both in one unit?",
     "rescaled": "the depth map asks for a cloud {times:.3g} times as large; are both in one unit?",
-    "assumed-camera": "no camera file was given or found next to the mask, so the canonical camera "
-    "is assumed; is it right?",
+    ASSUMED_CAMERA: "no camera was given, so the canonical camera is assumed; is it right?",
     "assumed-picture": "the network infers sizes from the whole picture, which without a camera "
     "file is taken for a picture of the canonical camera",
     "outliers": "points far from the rest stay where they are, and no measure counts them "

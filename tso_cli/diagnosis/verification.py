@@ -61,7 +61,8 @@ def verify_hypotheses(
     if losses is None:
         return diagnosis
     least = LOSS_LEFT * losses[0]
-    found = [weak for weak, loss in zip(compared, losses[1:], strict=True) if loss < least]
+    order = sorted(zip(losses[1:], compared, strict=True), key=lambda pair: pair[0])
+    found = [weak for loss, weak in order if loss < least]
     if not found:
         return replace(diagnosis, weak=())
     return replace(diagnosis, of_input=tuple(found), weak=(), outvoted=False)

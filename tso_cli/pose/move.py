@@ -7,7 +7,8 @@ cloud as it was. So a `Move` has cameras as the cloud at rest sees them, whichev
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -61,6 +62,15 @@ class Move:
     def size(self) -> float:
         """The factor of its size."""
         return float(np.cbrt(np.linalg.det(self.matrix[:3, :3])))
+
+    def taken_back(self, why: str) -> Move:
+        """Nothing moves in the end; the place that was found is the first alternative."""
+        if self.kind == "nothing":
+            return self
+        found = () if self.kind == "camera" else ((self.missed, self.matrix),)
+        alternatives = (*found, *self.alternatives)
+        changes: dict[str, Any] = {"matrix": np.eye(4), "alternatives": alternatives}
+        return replace(self, kind="nothing", explains=False, why_unmoved=why, **changes)
 
     def apply(self, points: Array) -> Array:
         """``points`` [N, 3], moved; untouched where nothing or a camera moved."""

@@ -21,7 +21,7 @@ from .clock import Clock
 from .config import RefineConfig
 from .result import RefineResult
 from .run import run
-from .scene import as_scene, as_views
+from .scene import as_scene, as_views, assumed_cameras
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -92,6 +92,8 @@ def refine(
                 network, image, settings.mode, settings.device, settings.learning_rate
             )
             points = parameters.cloud.source
+        if settings.mode == "points":
+            known = (*known, *assumed_cameras(masks, cameras))
         scene = as_scene(points, views, assume, known)
     work = work_of(settings, len(views), len(scene.cloud.points))
     with planned(*work, settings.seconds), blas.one_thread():

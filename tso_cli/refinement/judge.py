@@ -78,6 +78,8 @@ def judge(
             "the loss is not a finite number after the first step (a smaller learning rate?)"
         )
     ending = _ending(weighed, problem, optimised, given, move, diagnosis, settings)
+    if ending.outcome == "refused":
+        move = move.taken_back("the result is doubtful")
     cloud, moved, weights = problem.cloud, ending.moved, weighed.weights
     lengths = np.linalg.norm(moved.displacements, axis=1)
     begun = cloud.start if optimised.begun is None else optimised.begun.points
@@ -153,6 +155,7 @@ def _ending(
     diagnosis: Diagnosis,
     settings: Settings,
 ) -> _Ending:
+    diagnosis = _outvoted(diagnosis, weighed)
     displacements = optimised.best - problem.cloud.start
     moved, of_shape = _moved(problem, displacements)
     # The learned prior may have moved a cloud that no step improved.
@@ -170,7 +173,10 @@ def _ending(
         ious = [(before, before) for before, _ in of_shape]
         if move.kind != "nothing":
             ious = _ious(problem, given, start)
-        trust = trust.with_overlap(np.mean(ious, 0).min()).with_pose(diagnosis)
+        fits = float(np.mean([before for before, _ in of_shape]))
+        trust = trust.limited(diagnosis, fits, fits)
+        if trust.verdict == "doubtful" and move.kind != "nothing" and not settings.accept_doubtful:
+            return _refused(start, ious, trust)
         return _Ending(start, ious, trust, "unchanged", kept)
     unknown = _why_unknown(problem, optimised, settings)
     if unknown:
@@ -181,15 +187,28 @@ def _ending(
         if settings.smooth and problem.masks_alone:
             features = features_of(problem, optimised, diagnosis)
         trust = Trust.of(features, diagnosis, explained)
-    trust = trust.with_overlap(np.mean(of_shape, 0).min()).with_pose(diagnosis)
+    ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
+    before, after = np.mean(of_shape, 0)
+    # A depth map or a photo may ask for a shape that agrees less with the mask.
+    after = after if problem.masks_alone else max(before, after)
+    trust = trust.limited(diagnosis, before, after)
     if settings.accept_doubtful:
         trust = replace(trust, displacement_taken=1.0)
     if trust.displacement_taken == 0.0:
-        moved, of_shape = _moved(problem, np.zeros_like(displacements))
-    ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
-    if trust.displacement_taken == 0.0:
-        return _Ending(moved, ious, trust, "refused", "doubtful")
+        return _refused(problem.cloud.moved(np.zeros_like(displacements)), ious, trust)
     return _Ending(moved, ious, trust, "moved")
+
+
+def _refused(start: MovedCloud, ious: Ious, trust: Trust) -> _Ending:
+    """The cloud as it was given."""
+    return _Ending(start, [(before, before) for before, _ in ious], trust, "refused", "doubtful")
+
+
+def _outvoted(diagnosis: Diagnosis, weighed: WeighedProblem) -> Diagnosis:
+    """The diagnosis; views that something is wrong with are outvoted only if they count little."""
+    wrong = {view for finding in diagnosis.of_views for view in finding.views}
+    little = all(weighed.weights.inlier[view] < CONTRADICTED_WEIGHT for view in wrong)
+    return replace(diagnosis, outvoted=diagnosis.outvoted and little)
 
 
 def _why_unknown(
@@ -203,6 +222,7 @@ def _why_unknown(
     # The confidence counts on a symmetry check of a cloud that has a mirror plane.
     late = (optimised.out_of_time and few) or problem.symmetry.outcome == "unchecked"
     reasons = (
+        ("mode", "a network mode has none", settings.mode != "points"),
         ("points", f"{points} points are too few", points < FEWEST_CONTROL_POINTS),
         ("interrupted", "it was interrupted", few and optimised.interrupted),
         ("time", f"{settings.seconds:g} s were too few", late),

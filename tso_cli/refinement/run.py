@@ -7,6 +7,7 @@ from functools import partial
 
 from ..cloud.cloud import ControlledCloud
 from ..diagnosis.examine import Diagnosis, NoOverlapError, examine
+from ..diagnosis.explain import Margin
 from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypotheses, verify_plane
 from ..geometry.arrays import Array
@@ -121,17 +122,21 @@ def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock:
     if asked == "shape":
         return find()
     move = clock.attempt("place", find, unmoved(scene.views, "interrupted"))
-    if not move.is_far or move.why_unsure:
+    if move.kind == "nothing" or move.why_unsure or (asked != "auto" and not move.is_far):
         return move
-    # A mask that is flipped or upside down is met by a cloud that is turned the wrong way.
-    try:
-        with clock.phase("place"):
-            suspicious = _examined(scene, cloud, settings).suspicious
-    except NoOverlapError as error:
-        suspicious = error.diagnosis.suspicious
-    for one in suspicious:
-        if any(hypothesis.of_mask for hypothesis in one.hypotheses):
-            return replace(move, why_unsure=f"perhaps {one.says} instead ({one.name})")
+    with clock.phase("place"):
+        as_given, moved = (
+            _examined_anyhow(one, cloud, settings) for one in (scene, scene.after(move))
+        )
+    for one in (*as_given.suspicious, *as_given.weak):
+        says = f"perhaps {one.says} instead ({one.name})"
+        # A mask that is flipped or upside down is met by a cloud that is turned the wrong way.
+        if move.is_far and any(hypothesis.of_mask for hypothesis in one.hypotheses):
+            return replace(move, why_unsure=says)
+        # What has nothing to fit, and explains as much, is likelier than a move.
+        explained = moved.explanation.as_given if moved.explanation else 0.0
+        if asked == "auto" and one.hypotheses and one.score >= explained - Margin.SIMILAR:
+            return unmoved(scene.views, says)
     return move
 
 
@@ -149,6 +154,14 @@ def _examined(scene: RefineScene, cloud: ControlledCloud, settings: Settings) ->
     hypotheses = settings.mode == "points"
     of_scene = scene.read, scene.views, scene.assumptions, scene.known
     return examine(cloud, *of_scene, hypotheses=hypotheses)
+
+
+def _examined_anyhow(scene: RefineScene, cloud: ControlledCloud, settings: Settings) -> Diagnosis:
+    """The diagnosis, also where cloud and masks do not meet."""
+    try:
+        return _examined(scene, cloud, settings)
+    except NoOverlapError as error:
+        return error.diagnosis
 
 
 def _verified(

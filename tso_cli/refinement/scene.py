@@ -11,7 +11,7 @@ import numpy as np
 
 from ..cloud.cloud import Cloud, as_numpy
 from ..diagnosis.assumptions import Assumption, as_meant, assumptions_of
-from ..diagnosis.findings import Finding
+from ..diagnosis.findings import ASSUMED_CAMERA, Finding
 from ..errors import InputError
 from ..geometry.arrays import Bits, as_numbers
 from ..geometry.camera import Camera
@@ -87,6 +87,14 @@ def as_scene(
     assumptions = [one for one in assume if isinstance(one, Assumption)]
     assumptions += assumptions_of(texts, [view.name for view in views]) if texts else ()
     return RefineScene(cloud, views, tuple(assumptions), tuple(known))
+
+
+def assumed_cameras(masks: Any, cameras: Any) -> tuple[Finding, ...]:
+    """The finding that a mask has the canonical camera because none was given."""
+    listed = masks if isinstance(masks, Sequence) else [masks]
+    if cameras is not None or any(isinstance(one, View) for one in listed):
+        return ()
+    return (Finding(ASSUMED_CAMERA, (0,)),)
 
 
 def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tuple[View, ...]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from ..cloud.cloud import Cloud
 from ..diagnosis.assumptions import Assumption, as_meant, assumptions_of, left_handed
-from ..diagnosis.findings import Finding
+from ..diagnosis.findings import ASSUMED_CAMERA, Finding
 from ..geometry.arrays import Array, Floats, Pixels
 from ..geometry.view import View
 from ..io.clouds import PointCloud, read_cloud
@@ -119,7 +119,7 @@ def _scene_of(
     mirrored = MIRRORED if left_handed(assumptions) else ""
     described = tuple(f"{origin}{mirrored}" for origin in origins)
     known = [
-        Finding("assumed-camera", (i,)) for i, origin in enumerate(origins) if origin.file is None
+        Finding(ASSUMED_CAMERA, (i,)) for i, origin in enumerate(origins) if origin.file is None
     ]
     given = RefineScene(cloud, tuple(read), assumptions, tuple(known))
     return Scene(given, described, summary_of(origins), "input", file)

@@ -38,8 +38,9 @@ DEFAULT: Final = "best"
 NO_SYMMETRY, TWO_MASKS, FOUR_MASKS = "best, no symmetry", "best, two masks", "best, four masks"
 MASKS = (DEFAULT, TWO_MASKS, FOUR_MASKS)
 """The default preset with one, two and four masks."""
+# The paper's method, and the network modes, leave nothing as it was.
 POINTS = {
-    PAPER: Variant(RefineConfig(preset="paper")),
+    PAPER: Variant(RefineConfig(preset="paper", accept_doubtful=True)),
     DEFAULT: Variant(),
     NO_SYMMETRY: Variant(RefineConfig(symmetry="none")),
     TWO_MASKS: Variant(masks=2),
@@ -48,11 +49,11 @@ POINTS = {
 NETWORK_MODES: tuple[Mode, ...] = ("encoder", "encoder-decoder", "latent")
 BOTH: tuple[Preset, ...] = (PAPER, DEFAULT)
 ALONE = {
-    f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset))
+    f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset, accept_doubtful=True))
     for mode, preset in product(NETWORK_MODES, BOTH)
 }
 COMBINED = {
-    f"{mode}, then points": Variant(RefineConfig(mode), then=RefineConfig())
+    f"{mode}, then points": Variant(RefineConfig(mode, accept_doubtful=True), then=RefineConfig())
     for mode in ("latent", "encoder-decoder")
 }
 NETWORK = {**POINTS, **ALONE, **COMBINED}

@@ -78,7 +78,9 @@ def plan(
     settings |= {"shapes": len(shapes), "points": about.points, "sigma_sq": about.sigma_sq}
     settings |= {"network": weights_hash(network)}
     render = RenderSettings(views=settings["views"], size=(SIZE, SIZE))
-    config = RefineConfig(steps=settings["steps"], sigma_sq=about.sigma_sq, preset="paper")
+    config = RefineConfig(
+        steps=settings["steps"], sigma_sq=about.sigma_sq, preset="paper", accept_doubtful=True
+    )
 
     def refine_shape(shape: Shape) -> Cases:
         seen, numbers = see(shape, render, settings["seed"]), range(settings["views"])
