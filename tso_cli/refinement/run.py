@@ -122,20 +122,21 @@ def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock:
     if asked == "shape":
         return find()
     move = clock.attempt("place", find, unmoved(scene.views, "interrupted"))
-    if move.kind == "nothing" or move.why_unsure or (asked != "auto" and not move.is_far):
+    if move.kind == "nothing" or move.why_unsure:
         return move
     with clock.phase("place"):
         as_given, moved = (
             _examined_anyhow(one, cloud, settings) for one in (scene, scene.after(move))
         )
-    for one in (*as_given.suspicious, *as_given.weak):
+    likelier = asked == "auto" or not move.explains
+    for one in (*as_given.suspicious, *(as_given.weak if asked == "auto" else ())):
         says = f"perhaps {one.says} instead ({one.name})"
         # A mask that is flipped or upside down is met by a cloud that is turned the wrong way.
         if move.is_far and any(hypothesis.of_mask for hypothesis in one.hypotheses):
             return replace(move, why_unsure=says)
         # What has nothing to fit, and explains as much, is likelier than a move.
         explained = moved.explanation.as_given if moved.explanation else 0.0
-        if asked == "auto" and one.hypotheses and one.score >= explained - Margin.SIMILAR:
+        if likelier and one.hypotheses and one.score >= explained - Margin.SIMILAR:
             return unmoved(scene.views, says)
     return move
 
