@@ -118,6 +118,21 @@ def test_the_fit_is_calibrated_for_four_right_scenes_in_five():
     )
 
 
+def test_in_the_mixture_what_is_doubtful_or_refused_stays_as_it_was():
+    right = {"axis": confidence.UNALTERED.name, "ratio": 0.5, "flagged": False}
+    wrong = {"axis": "mask dilated", "ratio": 2.0}
+    flags = ({"flagged": True}, {"flagged": False})
+    refused = {"axis": "mask dilated", "refused": True}
+    cases = [right, *(wrong | flag for flag in flags), refused, {**wrong, **flags[0]}]
+    mixture = confidence._mixture(cases)
+    log = np.log(2.0)
+    assert mixture["always"] == pytest.approx(-0.8 * log + 0.2 * 0.75 * log)
+    assert mixture["left"] == pytest.approx(-0.8 * log + 0.05 * log)
+    assert mixture["worse"] == pytest.approx(0.15)
+    assert mixture["unflagged"] == pytest.approx(0.05)
+    assert confidence._mixture([right]) == confidence._mixture([refused]) == {}
+
+
 class FakeBuilder:
     """Cases that are names alone."""
 

@@ -235,7 +235,8 @@ STUDY = Study(
     reading="Each question alters cases in one way and compares rows that see the same random "
     "numbers. Right evidence helps: more masks, depth, a photo of an object whose colours are "
     "known. Where an object lacks a part that its start has, a mirror plane gains less, and does "
-    "harm to few.",
+    "harm to few. A depth map that holds something else is mostly named or left out; a map of "
+    "another picture often is not.",
     convention=CONVENTION,
     options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
