@@ -143,10 +143,12 @@ def test_a_cloud_that_hardly_fits_a_camera_that_nobody_gave_is_doubtful():
     assert Trust("improved", 0.97).limited(NOTHING, 0.3, 0.9).verdict == "improved"
 
 
-def test_where_the_iou_falls_a_result_is_doubtful():
+def test_where_the_iou_of_a_start_that_fits_falls_a_result_is_doubtful():
     trust = Trust("improved", WITHOUT_FEATURES).limited(NOTHING, 0.9, 0.7)
     assert (trust.verdict, trust.reason) == ("doubtful", "misfit")
     assert trust.confidence == MOST_IF_UNSURE
+    other = Trust("improved", WITHOUT_FEATURES)
+    assert other.limited(NOTHING, 0.8, 0.7) == other
 
 
 def test_without_features_a_finding_halves_the_confidence():

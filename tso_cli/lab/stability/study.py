@@ -53,7 +53,7 @@ SHADES = {
     3.0: ("#f46d43", "to 3"),
     np.inf: ("#d73027", "above"),
 }
-ROW_HEIGHT = 0.18
+ROW_HEIGHT = 0.17
 """Inches."""
 CONVENTION = {
     "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + "
