@@ -188,8 +188,10 @@ class Words:
 
 
 def _is_turned_cloud(finding: Finding) -> bool:
-    alone = finding.hypotheses if len(finding.hypotheses) == 1 and not finding.without else ()
-    return any(one.of_cloud and one.turns for one in alone)
+    if finding.without or len(finding.hypotheses) != 1:
+        return False
+    (hypothesis,) = finding.hypotheses
+    return hypothesis.of_cloud and hypothesis.turns
 
 
 def shown(confidence: float) -> str:

@@ -64,14 +64,13 @@ OUTVOTED_SHARE = 0.5
 class Explanation:
     """How far cloud and masks agree, as mean IoU in coarse cells, and what explains it.
 
-    as_given : of the input as it is. best : under the best hypothesis, less its prior.
+    as_given : of the input as it is.
     of_input : alternatives that explain the whole input, likeliest first.
     of_views : what explains single views, where the input as a whole looks right.
     weak : alternatives under which silhouettes agree somewhat better; () if anything is found.
     """
 
     as_given: float
-    best: float
     of_input: tuple[Finding, ...] = ()
     of_views: tuple[Finding, ...] = ()
     weak: tuple[Finding, ...] = ()
@@ -163,25 +162,23 @@ def explain(
     """
     large = np.array([outline.foreground_cells >= FEWEST_CELLS for outline in outlines])
     table = Table(points, outlines, given)
-    everything = np.arange(len(outlines))
-    whole = table.scores(everything)
-    as_given, best = float(table.ious[0].mean()), float(whole.max())
+    as_given = float(table.ious[0].mean())
     shown = np.flatnonzero(large & ~boxes)
     if not len(shown):
-        return Explanation(as_given, best)
+        return Explanation(as_given)
     scores = table.scores(shown)
     pairs = _mispaired(points, outlines, given, shown, float(scores.max()))
     if pairs and len(pairs[0].views) >= OUTVOTED_SHARE * len(outlines):
-        return Explanation(as_given, best, tuple(pairs))
+        return Explanation(as_given, tuple(pairs))
     if not pairs and (found := table.likely(shown, scores)):
-        return Explanation(as_given, best, tuple(found))
+        return Explanation(as_given, tuple(found))
     of_views = pairs or _of_views(table, shown)
     weak: list[Finding] = []
     if len(shown) == len(outlines) and not of_views:
         # Cells may take a turned object for a stretched one; short optimisations see more.
-        scores = table.scores(everything, better_than_stretched=-BETTER_THAN_STRETCHED)
-        weak = table.likely(everything, scores, Margin.WEAK)
-    return Explanation(as_given, best, of_views=tuple(of_views), weak=tuple(weak))
+        scores = table.scores(shown, better_than_stretched=-BETTER_THAN_STRETCHED)
+        weak = table.likely(shown, scores, Margin.WEAK)
+    return Explanation(as_given, of_views=tuple(of_views), weak=tuple(weak))
 
 
 def _candidates(given: tuple[Assumption, ...], cameras: Sequence[Camera]) -> Iterator[Candidate]:

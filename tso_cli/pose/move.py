@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -68,9 +67,14 @@ class Move:
         if self.kind == "nothing":
             return self
         found = () if self.kind == "camera" else ((self.missed, self.matrix),)
-        alternatives = (*found, *self.alternatives)
-        changes: dict[str, Any] = {"matrix": np.eye(4), "alternatives": alternatives}
-        return replace(self, kind="nothing", explains=False, why_unmoved=why, **changes)
+        return replace(
+            self,
+            kind="nothing",
+            matrix=np.eye(4),
+            explains=False,
+            alternatives=(*found, *self.alternatives),
+            why_unmoved=why,
+        )
 
     def apply(self, points: Array) -> Array:
         """``points`` [N, 3], moved; untouched where nothing or a camera moved."""
