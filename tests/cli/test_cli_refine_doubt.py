@@ -84,7 +84,7 @@ def test_an_inverted_mask_is_reported_with_the_option_that_mends_it(inverted, re
     assert "nothing: the displacement is doubtful (--accept-doubtful takes it all the" in run.out
     assert (read_cloud("initial.refined.ply").points == read_cloud("initial.ply").points).all()
     accepted = refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document
-    assert accepted["step_taken"] == 1.0
+    assert accepted["step_taken"] is True
     document = refine(*POINTS, "--check", "--json").document
     assert document["verdict"] == "doubtful"
     assert document["confidence"] is None
@@ -117,7 +117,7 @@ def test_a_result_of_an_unsure_camera_is_doubtful(folder, refine, options):
     assert result["reason"].startswith("the fitted camera is unsure")
     assert check["reason"] == result["reason"]
     assert (result["confidence"] or 0.0) <= 0.5
-    assert result["step_taken"] == 0.0
+    assert result["step_taken"] is False
 
 
 def test_without_a_camera_file_no_result_is_sure(folder, refine):

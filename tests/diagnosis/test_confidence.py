@@ -68,7 +68,7 @@ def test_right_features_without_findings_are_an_improvement(right):
     assert trust == right.trust
     assert trust.verdict == "improved"
     assert trust.confidence > 0.9
-    assert trust.displacement_taken == 1.0
+    assert trust.displacement_taken
     assert trust.reason == ""
     assert trust.says == ""
 
@@ -77,22 +77,22 @@ def test_a_doubtful_displacement_is_left(wrong, right):
     trust = Trust.of(wrong.trust.features, NOTHING)
     assert trust.confidence < LEAST_CONFIDENCE
     assert trust.verdict == "doubtful"
-    assert trust.displacement_taken == 0.0
+    assert not trust.displacement_taken
     assert trust.reason in REASONS
     assert trust.says == REASONS[trust.reason]
-    for confidence, taken in ((LEAST_CONFIDENCE, 1.0), (LEAST_CONFIDENCE - 0.01, 0.0)):
+    for confidence, taken in ((LEAST_CONFIDENCE, True), (LEAST_CONFIDENCE - 0.01, False)):
         limited = replace(NOTHING, most_confidence=confidence)
-        assert Trust.of(right.trust.features, limited).displacement_taken == taken
+        assert Trust.of(right.trust.features, limited).displacement_taken is taken
 
 
 @pytest.mark.parametrize(
     ("diagnosis", "confidence", "taken"),
     [
-        (OPENGL, 1.0, 0.0),
-        (OPENGL, 0.1, 0.0),
-        (BOX, 1.0, 0.0),
-        (replace(BOX, outvoted=True), LEAST_CONFIDENCE, 1.0),
-        (replace(BOX, outvoted=True), LEAST_CONFIDENCE - 0.01, 0.0),
+        (OPENGL, 1.0, False),
+        (OPENGL, 0.1, False),
+        (BOX, 1.0, False),
+        (replace(BOX, outvoted=True), LEAST_CONFIDENCE, True),
+        (replace(BOX, outvoted=True), LEAST_CONFIDENCE - 0.01, False),
     ],
 )
 def test_a_suspicious_finding_leaves_the_cloud_unless_other_views_outvote_it(
@@ -100,7 +100,7 @@ def test_a_suspicious_finding_leaves_the_cloud_unless_other_views_outvote_it(
 ):
     assert right.trust.confidence > 0.9
     trust = Trust.of(right.trust.features, replace(diagnosis, most_confidence=confidence))
-    assert trust.displacement_taken == taken
+    assert trust.displacement_taken is taken
     assert trust.confidence == min(confidence, right.trust.confidence)
     assert trust.verdict == "doubtful"
     assert trust.reason == FINDING
@@ -139,7 +139,7 @@ def test_a_cloud_that_hardly_fits_a_camera_that_nobody_gave_is_doubtful():
     note = replace(NOTHING, notes=(Finding("assumed-camera", (0,)),))
     trust = Trust("improved", 0.97).limited(note, 0.3, 0.9)
     assert (trust.verdict, trust.reason) == ("doubtful", "assumed-camera")
-    assert trust.displacement_taken == 0.0
+    assert not trust.displacement_taken
     assert Trust("improved", 0.97).limited(NOTHING, 0.3, 0.9).verdict == "improved"
 
 
@@ -170,14 +170,14 @@ def test_a_start_that_is_kept_is_sure_and_doubtful_only_with_a_finding(diagnosis
     assert trust.verdict == verdict
     assert trust.reason == reason
     assert trust.confidence == (None if reason else 1.0)
-    assert trust.displacement_taken == 0.0
+    assert not trust.displacement_taken
 
 
 @pytest.mark.parametrize(
     ("diagnosis", "expected"),
     [
         (NOTHING, Trust(None, None, "steps", "6 steps are too few")),
-        (OPENGL, Trust("doubtful", None, FINDING, words_of(OPENGL), 0.0)),
+        (OPENGL, Trust("doubtful", None, FINDING, words_of(OPENGL), False)),
     ],
 )
 def test_without_a_confidence_there_is_no_verdict_except_with_a_finding(diagnosis, expected):
@@ -295,7 +295,7 @@ def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name):
     assert scene.error(wrong.points) > scene.error(scene.points)
     assert wrong.trust.confidence < right.trust.confidence - 0.2
     assert wrong.trust.verdict == "doubtful"
-    assert wrong.trust.displacement_taken == 1.0
+    assert wrong.trust.displacement_taken
     assert wrong.trust.reason in {*REASONS, FINDING}
     assert (wrong.trust.reason == FINDING) == bool(wrong.findings)
 
@@ -312,8 +312,8 @@ def test_a_displacement_of_no_confidence_is_not_taken_unless_accepted():
     assert careful.fit.moved_max == 0.0
     assert careful.fit.iou_after == careful.fit.iou_before
     assert careful.fit.loss_after == careful.fit.loss_before
-    assert careful.trust.displacement_taken == 0.0
-    assert accepted.trust == replace(careful.trust, displacement_taken=1.0)
+    assert not careful.trust.displacement_taken
+    assert accepted.trust == replace(careful.trust, displacement_taken=True)
     assert accepted.fit.outcome == "moved"
     assert accepted.fit.moved_mean > 0.01
 
@@ -338,11 +338,11 @@ def _judged(diagnosis: Diagnosis, inlier_weight: float = 1.0) -> RefineResult:
 
 
 def test_a_result_of_suspicious_input_is_never_called_an_improvement():
-    for inlier_weight, taken in ((0.3, 1.0), (0.6, 0.0)):
+    for inlier_weight, taken in ((0.3, True), (0.6, False)):
         result = _judged(replace(BOX, outvoted=True), inlier_weight)
         assert (result.trust.confidence > LEAST_CONFIDENCE) == bool(taken)
         assert result.trust.verdict == "doubtful"
-        assert result.trust.displacement_taken == taken
+        assert result.trust.displacement_taken is taken
         assert result.trust.reason == FINDING
 
 
@@ -398,13 +398,13 @@ def test_a_result_of_few_points_has_no_confidence():
 
 def test_what_did_not_move_is_unchanged_and_sure():
     trust = refine(CHAIR.points, CHAIR.view, config=RefineConfig(steps=0)).trust
-    assert trust == Trust("unchanged", 1.0, displacement_taken=0.0)
+    assert trust == Trust("unchanged", 1.0, displacement_taken=False)
 
 
 def test_suspicious_input_is_found_also_where_nothing_moves():
     result = refine(CHAIR.points, INVERTED, config=RefineConfig(steps=0))
     assert result.trust.verdict == "doubtful"
-    assert result.trust.displacement_taken == 0.0
+    assert not result.trust.displacement_taken
     assert ("mask-inverted", (0,)) in named(result.findings)
 
 

@@ -53,7 +53,7 @@ CONVENTION = {
     "default preset in points mode",
     "best_view": "where a further mask would determine most: degrees to the right of the first "
     "camera and above it, around the object; null without --point-confidence",
-    "step_taken": "1 if the displacement was taken, 0 if it was left",
+    "step_taken": "whether the displacement was taken",
     "transform": "4x4, x' = matrix x takes the cloud as it was given to where it moved as one, "
     "before its shape changed; the identity where nothing or a camera moved",
     "moved_as": "nothing, shift, pose (turn and shift), similarity (and size) or camera",

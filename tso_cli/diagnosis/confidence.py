@@ -80,7 +80,7 @@ class Trust:
     reason : "finding", a group of features (`REASONS`), "unsure-camera" or "unsure-place" if
         doubtful; else why there is no confidence.
     says : the reason in words; "" if there is none.
-    displacement_taken : 1 if the displacement is taken, 0 if it is left.
+    displacement_taken : whether it is taken; otherwise the cloud is left as it was.
     features : what the confidence is computed from.
     """
 
@@ -88,7 +88,7 @@ class Trust:
     confidence: float | None
     reason: str = ""
     says: str = ""
-    displacement_taken: float = 1.0
+    displacement_taken: bool = True
     features: dict[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -112,10 +112,10 @@ class Trust:
         doubtful = confidence < LEAST_CONFIDENCE
         if diagnosis.suspicious:
             # What is wrong with a few views is limited by the others.
-            taken = float(diagnosis.outvoted and not doubtful)
+            taken = diagnosis.outvoted and not doubtful
             trust = cls("doubtful", confidence, FINDING, words_of(diagnosis), taken)
         elif doubtful:
-            trust = cls("doubtful", confidence, group, REASONS.get(group, ""), 0.0)
+            trust = cls("doubtful", confidence, group, REASONS.get(group, ""), False)
         else:
             trust = cls("improved", confidence)
         return replace(trust, features=features or {})
@@ -124,8 +124,8 @@ class Trust:
     def unchanged(cls, diagnosis: Diagnosis) -> Trust:
         """Of a result that is the start."""
         if diagnosis.suspicious:
-            return cls("doubtful", None, FINDING, words_of(diagnosis), 0.0)
-        return cls("unchanged", 1.0, displacement_taken=0.0)
+            return cls("doubtful", None, FINDING, words_of(diagnosis), False)
+        return cls("unchanged", 1.0, displacement_taken=False)
 
     @classmethod
     def placed(cls, explains: bool, diagnosis: Diagnosis) -> Trust:
@@ -134,17 +134,17 @@ class Trust:
         explains : whether the move explains why the cloud did not fit.
         """
         if diagnosis.suspicious:
-            return cls("doubtful", None, FINDING, words_of(diagnosis), 0.0)
+            return cls("doubtful", None, FINDING, words_of(diagnosis), False)
         if not explains:
             says = "only a move that explains the misfit has a confidence"
-            return cls(None, None, "move", says, 0.0)
-        return cls("improved", MOST_IF_CAMERA_COUNTS, displacement_taken=0.0)
+            return cls(None, None, "move", says, False)
+        return cls("improved", MOST_IF_CAMERA_COUNTS, displacement_taken=False)
 
     @classmethod
     def unknown(cls, reason: str, says: str, diagnosis: Diagnosis) -> Trust:
         """Of a result without a confidence, for a ``reason``."""
         if diagnosis.suspicious:
-            return cls("doubtful", None, FINDING, words_of(diagnosis), 0.0)
+            return cls("doubtful", None, FINDING, words_of(diagnosis), False)
         return cls(None, None, reason, says)
 
     def limited(self, diagnosis: Diagnosis, before: float, after: float) -> Trust:
@@ -167,7 +167,7 @@ class Trust:
 
     def _unsure(self, reason: str, says: str) -> Trust:
         confidence = self.confidence and min(self.confidence, MOST_IF_UNSURE)
-        changed = replace(self, verdict="doubtful", confidence=confidence, displacement_taken=0.0)
+        changed = replace(self, verdict="doubtful", confidence=confidence, displacement_taken=False)
         if self.reason == FINDING:
             return changed
         return replace(changed, reason=reason, says=says)

@@ -39,13 +39,11 @@ class Beginning:
     points : [N, 3].
     rightness : in [0, 1], how far the learned prior finds that the start is right already; 0
         without an answer of the learned prior.
-    asked : the root mean square of the first displacements that the learned prior asks for, in
-        longest sides. sureness : of its first answer, `Answer.sureness`. Both are None without one.
+    sureness : of its first answer, `Answer.sureness`; None without one.
     """
 
     points: Array
     rightness: float = 0.0
-    asked: float | None = None
     sureness: float | None = None
 
 
@@ -96,7 +94,7 @@ def beginning(
         points, lowest = moved, loss
     # A start that the masks find right may be wrong by a depth map or a photo.
     right = 1.0 - other if problem.masks_alone else 0.0
-    return Beginning(points, right, asked, first.sureness)
+    return Beginning(points, right, first.sureness)
 
 
 def _share(loss: float) -> float:

@@ -1,4 +1,4 @@
-"""What an optimisation comes to: how much of the displacement is taken, and how sure it is."""
+"""What an optimisation comes to: whether the displacement is taken, and how sure it is."""
 
 from __future__ import annotations
 
@@ -193,8 +193,8 @@ def _ending(
     after = after if problem.masks_alone else max(before, after)
     trust = trust.limited(diagnosis, before, after)
     if settings.accept_doubtful:
-        trust = replace(trust, displacement_taken=1.0)
-    if trust.displacement_taken == 0.0:
+        trust = replace(trust, displacement_taken=True)
+    if not trust.displacement_taken:
         return _refused(problem.cloud.moved(np.zeros_like(displacements)), ious, trust)
     return _Ending(moved, ious, trust, "moved")
 
