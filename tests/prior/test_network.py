@@ -92,6 +92,17 @@ def test_what_is_seen_beyond_the_maps_is_in_no_map():
     np.testing.assert_allclose(maps, without)
 
 
+@pytest.mark.parametrize("depth", [0.0, -1.0])
+def test_a_point_at_the_plane_of_the_camera_or_behind_it_is_in_no_map(depth):
+    cloud, closeness, *shown = discs(1)
+    behind = cloud.copy()
+    behind[0, -1] = [0.1, 0.0, (depth - 1.0) / closeness[0]]
+    given = features(NUMPY, behind, 128, closeness, *shown)
+    without = features(NUMPY, behind[:, :-1], 128, closeness, *shown)
+    np.testing.assert_allclose(given.maps, without.maps)
+    assert all(np.isfinite(answer).all() for answer in predict(NUMPY, some_weights(), given))
+
+
 def test_the_lattice_is_a_partition_of_unity():
     t = np.random.default_rng(0).uniform(0.0, 1.0, (1, 50, 3))
     np.testing.assert_allclose(bernstein(NUMPY, t).sum(2), 1.0)

@@ -34,6 +34,9 @@ FAR = 0.3
 COVERED = 0.02
 # The cells of the foreground are counted as if there were this many.
 CELLS = 256.0
+# A point behind the camera, or nearer to its plane than this share of the cloud's distance, is seen
+# as one that is so near: beyond the maps.
+NEAREST = 1e-3
 # Where a cell has no point.
 NO_DEPTH = -9.0
 # Numbers of a view, of a node, and of the lattice: the sizes of the network's input.
@@ -78,7 +81,8 @@ def features(
     cells, counted : [B, K, 2] places w in the foreground, and [B, K] 1 for those that count.
     """
     xp = backend.xp
-    w = points[..., :2] / (1.0 + closeness[:, None, None] * points[..., 2:])
+    depth = 1.0 + closeness[:, None, None] * points[..., 2:]
+    w = points[..., :2] / depth.clip(NEAREST, np.inf)
     shown = _maps(backend, points, w, distance, known)
     low, high = xp.amin(points, 1), xp.amax(points, 1)
     extent, middle = high - low, (high + low) / 2.0
