@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from tests.scenes import example
+from tests.scenes import example, seen, turned
 from tso_cli import RefineConfig, View, refine
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.diagnosis.symptoms import occluder
@@ -74,6 +74,24 @@ def test_a_cloud_does_not_follow_the_outline_of_what_hides_it(name, hide):
         chamfer(points, scene.target).chamfer for points in (scene.points, result.points)
     )
     assert after < 1.05 * before
+
+
+def test_a_part_that_other_masks_do_not_show_is_a_part_that_the_object_lacks():
+    scene = example("car")
+    length = scene.target[:, np.ptp(scene.target, axis=0).argmax()]
+    without = scene.target[length < np.quantile(length, 0.7)]
+    view, *others = (
+        seen(without, turned(scene.camera, angle)) for angle in (0.0, 60.0, 120.0, 180.0)
+    )
+    assert occluder(view, 0, scene.target)
+    assert occluder(view, 0, scene.target, others) is None
+
+
+def test_a_part_that_other_masks_show_is_hidden():
+    scene = example("car")
+    view, _ = _behind_a_wall(scene.view, 20.0, 0.4)
+    others = [seen(scene.target, turned(scene.camera, angle)) for angle in (60.0, 120.0)]
+    assert occluder(view, 0, scene.target, others)
 
 
 def test_a_cloud_that_is_too_large_at_all_sides_is_not_occluded():

@@ -18,7 +18,7 @@ from tso_cli.optimisation.problem import prepare
 from tso_cli.refinement.run import check
 from tso_cli.refinement.scene import as_scene
 
-from .common import changed, named
+from .common import PLANE, around, changed, named, paired
 
 CHAIR = example("chair")
 MISTAKES = ("mask-flipped", "mask-upside-down", "R-transposed")
@@ -48,12 +48,11 @@ def test_a_hypothesis_that_is_not_true_is_not_confirmed(name):
 
 
 def test_without_a_weak_hypothesis_there_is_nothing_to_verify():
-    plane = example("airplane")
     settings = RefineConfig().settings(1)
-    cloud = Cloud(plane.target, "cloud").controlled(views=[plane.view])
-    diagnosis = replace(examine(cloud, [plane.view], [plane.view]), weak=())
-    problem = prepare(cloud, [plane.view], settings)
-    assert verify_hypotheses(diagnosis, problem, [plane.view], (), settings) is diagnosis
+    cloud = Cloud(PLANE.target, "cloud").controlled(views=[PLANE.view])
+    diagnosis = replace(examine(cloud, [PLANE.view], [PLANE.view]), weak=())
+    problem = prepare(cloud, [PLANE.view], settings)
+    assert verify_hypotheses(diagnosis, problem, [PLANE.view], (), settings) is diagnosis
 
 
 @pytest.mark.parametrize("config", [{"preset": "paper"}, {"steps": 0}], ids=str)
@@ -86,6 +85,33 @@ def test_a_hypothesis_under_which_the_mask_shows_no_object_is_not_confirmed():
     with pytest.raises(InputError, match="no cell of its window"):
         problem.with_views([changed(view, "mask-inverted")])
     assert not verified(view, "mask-inverted").suspicious
+
+
+# Of pairs
+
+
+def _with_pairs(views: list[View]) -> Diagnosis:
+    """The diagnosis of the aeroplane, verified, if masks 0 and 1 seem to be exchanged."""
+    settings = RefineConfig().settings(len(views))
+    cloud = Cloud(PLANE.points, "cloud").controlled(settings.points, views)
+    diagnosis = examine(cloud, views, views)
+    pairs = Finding("mispaired", (0, 1), pairs=((1, 0), (0, 1)))
+    diagnosis = replace(diagnosis, of_input=(pairs,), of_views=(), most_confidence=0.15)
+    return verify_hypotheses(diagnosis, prepare(cloud, views, settings), views, (), settings)
+
+
+@pytest.mark.parametrize("order", [[1, 0], [1, 0, 2, 3], [1, 0, 2, 3, 4, 5, 6, 7]])
+def test_masks_that_are_exchanged_are_confirmed_also_among_many(order):
+    diagnosis = _with_pairs(paired(around(len(order)), order))
+    assert named(diagnosis.suspicious) == [("mispaired", (0, 1))]
+    assert diagnosis.most_confidence == 0.15
+
+
+@pytest.mark.parametrize("count", [2, 4, 8])
+def test_masks_that_seem_to_be_exchanged_and_are_not_are_paired_rightly(count):
+    diagnosis = _with_pairs(around(count))
+    assert diagnosis.suspicious == ()
+    assert diagnosis.most_confidence == 1.0
 
 
 # In a refinement

@@ -58,6 +58,24 @@ class Diagnosis:
     outvoted: bool = False
 
     @property
+    def pairs(self) -> tuple[Finding, ...]:
+        """The finding that masks and cameras are mispaired, or ()."""
+        return tuple(finding for finding in self.suspicious if finding.pairs)
+
+    @property
+    def unverified(self) -> tuple[Finding, ...]:
+        """What short optimisations verify: weak alternatives, or another order of the masks."""
+        return self.weak or self.pairs
+
+    def without_pairs(self) -> Diagnosis:
+        """The diagnosis, if masks and cameras are paired rightly."""
+        of_input, of_views = (
+            tuple(finding for finding in found if not finding.pairs)
+            for found in (self.of_input, self.of_views)
+        )
+        return replace(self, of_input=of_input, of_views=of_views, most_confidence=1.0)
+
+    @property
     def suspicious(self) -> tuple[Finding, ...]:
         """What makes a result doubtful: of the whole input, else of single views."""
         return self.of_input or self.of_views
@@ -157,8 +175,10 @@ def _with_occluders(
     """With what is hidden in the views that nothing else is wrong with."""
     wrong = {number for finding in of_views for number in finding.views}
     notes, hidden = list(diagnosis.notes), {}
-    for number, view in enumerate(views):
-        if number not in wrong and (found := symptoms.occluder(view, number, points)):
+    right = {number: view for number, view in enumerate(views) if number not in wrong}
+    for number, view in right.items():
+        others = [other for other in right.values() if other is not view]
+        if found := symptoms.occluder(view, number, points, others):
             notes.append(found[0])
             hidden[number] = found[1]
     return replace(diagnosis, notes=tuple(notes), hidden=hidden)

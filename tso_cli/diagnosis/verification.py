@@ -17,6 +17,7 @@ from ..optimisation.symmetry import SymmetryCheck, SymmetryDecision, SymmetryOut
 from ..optimisation.view_weights import ViewWeights
 from .assumptions import Assumption, as_meant
 from .examine import Diagnosis
+from .findings import Finding
 
 # A weak hypothesis is confirmed if at most this share of the final loss remains under it.
 LOSS_LEFT = 0.62
@@ -35,37 +36,54 @@ def verify_hypotheses(
 ) -> Diagnosis:
     """The diagnosis, whose weak hypotheses are found or dropped as the optimisation says.
 
-    Silhouettes may agree somewhat better under a hypothesis by chance. Short optimisations are
-    compared, as given and under each hypothesis, all without a mirror plane. An object of another
-    shape fits them about as well; the same object, seen rightly, fits far better.
+    Silhouettes may agree somewhat better under a hypothesis by chance, and so may those of another
+    order of the masks, which is dropped too. Short optimisations are compared, as given and under
+    each hypothesis, all without a mirror plane. An object of another shape fits them about as well;
+    the same object, seen rightly, fits far better.
 
-    Nothing is confirmed with another preset than "best", with depth maps or photos, or without
+    Nothing is compared with another preset than "best", with depth maps or photos, or without
     time ``until`` then (`final_losses`). ``read`` are the views as they were read, which are meant
     as the assumptions ``given`` say. Raises KeyboardInterrupt where Ctrl-C ended an optimisation.
     """
-    if not (diagnosis.weak and settings.smooth and settings.steps and problem.masks_alone):
+    if not (diagnosis.unverified and settings.smooth and settings.steps and problem.masks_alone):
         return diagnosis
     start = problem.cloud.start
     weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start).loss
+    if diagnosis.pairs:
+        # Views that are paired wrongly contradict the others, and may have hardly a weight.
+        about = {number for pair in diagnosis.pairs[0].pairs for number in pair}
+        weights = [float(number in about) for number in range(len(read))]
     without_plane = problem.with_symmetry(SymmetryDecision("not_asked"))
     problems, compared = [problem.without_flipped()], []
-    for weak in diagnosis.weak:
-        assumed = [one for one in given if one != weak.without]
-        if not weak.without:
-            assumed += map(Assumption, weak.hypotheses)
+    for one in diagnosis.unverified:
         # The mask may show nothing where the hypothesis has its object.
         with suppress(InputError):
-            problems.append(without_plane.with_views(as_meant(view, assumed) for view in read))
-            compared.append(weak)
+            problems.append(without_plane.with_views(_views_under(one, read, given)))
+            compared.append(one)
     losses = final_losses(problems, weights, SmoothField(start), until) if compared else None
     if losses is None:
         return diagnosis
     least = LOSS_LEFT * losses[0]
     order = sorted(zip(losses[1:], compared, strict=True), key=lambda pair: pair[0])
-    found = [weak for loss, weak in order if loss < least]
+    found = [one for loss, one in order if loss < least]
+    if diagnosis.pairs:
+        return diagnosis if found else diagnosis.without_pairs()
     if not found:
         return replace(diagnosis, weak=())
     return replace(diagnosis, of_input=tuple(found), weak=(), outvoted=False)
+
+
+def _views_under(
+    hypothesis: Finding, read: Sequence[View], given: Sequence[Assumption]
+) -> list[View]:
+    """The views as they are meant if a hypothesis is right."""
+    assumed = [one for one in given if one != hypothesis.without]
+    if not hypothesis.without:
+        assumed += map(Assumption, hypothesis.hypotheses)
+    views = list(read)
+    for mask, camera in hypothesis.pairs:
+        views[mask] = replace(read[mask], camera=read[camera].camera)
+    return [as_meant(view, assumed) for view in views]
 
 
 def verify_plane(

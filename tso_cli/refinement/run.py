@@ -81,7 +81,7 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     move, scene = _moved(scene, cloud, settings, clock)
     diagnosis = _examined(scene, cloud, settings)
     scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
-    if diagnosis.weak:
+    if diagnosis.unverified:
         problem = prepare(cloud, scene.views, settings)
         diagnosis = _with_hypotheses_verified(scene, diagnosis, problem, settings, clock)
     if clock.interrupted:
@@ -183,7 +183,7 @@ def _verified(
 def _with_hypotheses_verified(
     scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
 ) -> Diagnosis:
-    if not diagnosis.weak:
+    if not diagnosis.unverified:
         return diagnosis
     until = clock.until(settings.seconds)
     meant = scene.read, scene.assumptions
