@@ -323,7 +323,7 @@ def confidence() -> str:
         f"with one. Then {200 * mixture['worse']:.0f} of 200 results got worse by over 5 %, and "
         f"{200 * mixture['unflagged']:.0f} of 200 without a\n"
         f"word. The mean logarithm of after / before was {mixture['always']:.2f}. It is "
-        f"{mixture['left']:.2f} if doubtful\nclouds stay as they were."
+        f"{mixture['left']:.2f} if clouds\nstay as they were where tso leaves them."
     )
     header = ["what is wrong", "worse by over 5 %", "flagged, of those worse", "AUC"]
     return f"{markdown(header, rows)}\n\n{note}"
@@ -359,8 +359,7 @@ def flagged() -> str:
         "Each change has several levels, from harmless to hopeless. Take the harder half of them.\n"
         f"If the mask was wrong, {shares[0]} of the results got worse by over 5 %; if the camera\n"
         f"was wrong, {shares[2]}; if the cloud was wrong, {shares[4]}. Without a warning it was\n"
-        f"{shares[1]}, {shares[3]} and {shares[5]}. Most others were refused, or doubtful and so "
-        "left\nas they were."
+        f"{shares[1]}, {shares[3]} and {shares[5]}."
     )
 
 

@@ -235,7 +235,7 @@ def changed(result: RefineResult, *, fit=None, **fields) -> RefineResult:
 
 def kept(result: RefineResult, stop_reason: str, outcome: str = "unchanged") -> RefineResult:
     fit = {"stop_reason": stop_reason, "outcome": outcome, "best_step": 0, "moved_max": 0.0}
-    return changed(result, fit=fit, trust=Trust("unchanged", 1.0, displacement_taken=False))
+    return changed(result, fit=fit, trust=Trust("unchanged", 1.0, moves=False))
 
 
 @pytest.mark.parametrize(

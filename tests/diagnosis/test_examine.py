@@ -100,7 +100,7 @@ def test_no_cloud_follows_a_box_in_place_of_its_mask(name):
     result = refine(scene.points, boxed(scene.view))
     assert named(result.findings) == [("box", (0,))]
     assert result.trust.verdict == "doubtful"
-    assert not result.trust.displacement_taken
+    assert not result.trust.moves
     assert np.array_equal(result.points, scene.points)
 
 
@@ -109,14 +109,14 @@ def test_with_one_box_among_masks_the_cloud_follows_the_others():
     others = [seen(scene.target, turned(scene.camera, angle)) for angle in (90.0, 180.0)]
     result = refine(scene.points, [boxed(scene.view), *others])
     assert ("box", (0,)) in named(result.findings)
-    assert result.trust.displacement_taken
+    assert result.trust.moves
 
 
 def test_with_a_pair_among_many_views_the_cloud_follows_the_others():
     result = refine(PLANE.points, paired(around(8), [0, 1, 2, 3, 4, 5, 7, 6]))
     assert ("mispaired", (6, 7)) in named(result.findings)
     assert result.trust.verdict == "doubtful"
-    assert result.trust.displacement_taken
+    assert result.trust.moves
     assert PLANE.error(result.points) < 0.9 * PLANE.error(PLANE.points)
 
 

@@ -118,16 +118,19 @@ def test_the_fit_is_calibrated_for_four_right_scenes_in_five():
     )
 
 
-def test_in_the_mixture_what_is_doubtful_or_refused_stays_as_it_was():
-    right = {"axis": confidence.UNALTERED.name, "ratio": 0.5, "flagged": False}
+def test_in_the_mixture_what_is_left_or_refused_stays_as_it_was():
+    right = {"axis": confidence.UNALTERED.name, "ratio": 0.5, "flagged": False, "left": False}
     wrong = {"axis": "mask dilated", "ratio": 2.0}
-    flags = ({"flagged": True}, {"flagged": False})
+    left, moved, silent = (
+        wrong | {"flagged": flagged, "left": left}
+        for flagged, left in ((True, True), (True, False), (False, False))
+    )
     refused = {"axis": "mask dilated", "refused": True}
-    cases = [right, *(wrong | flag for flag in flags), refused, {**wrong, **flags[0]}]
+    cases = [right, left, moved, silent, refused]
     mixture = confidence._mixture(cases)
     log = np.log(2.0)
     assert mixture["always"] == pytest.approx(-0.8 * log + 0.2 * 0.75 * log)
-    assert mixture["left"] == pytest.approx(-0.8 * log + 0.05 * log)
+    assert mixture["left"] == pytest.approx(-0.8 * log + 0.1 * log)
     assert mixture["worse"] == pytest.approx(0.15)
     assert mixture["unflagged"] == pytest.approx(0.05)
     assert confidence._mixture([right]) == confidence._mixture([refused]) == {}

@@ -159,7 +159,7 @@ class RefineReport:
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
             **verdict_document(trust.confidence, trust.verdict, reason, warnings, suspects),
-            "step_taken": trust.displacement_taken,
+            "step_taken": fit.outcome == "moved",
             "determined": result.determined,
             "best_view": result.best_view and best_view_document(result.best_view),
             **move_document(result.move),

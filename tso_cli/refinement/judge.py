@@ -192,9 +192,7 @@ def _ending(
     # A depth map or a photo may ask for a shape that agrees less with the mask.
     after = after if problem.masks_alone else max(before, after)
     trust = trust.limited(diagnosis, before, after)
-    if settings.accept_doubtful:
-        trust = replace(trust, displacement_taken=True)
-    if not trust.displacement_taken:
+    if not (trust.moves or settings.accept_doubtful):
         return _refused(problem.cloud.moved(np.zeros_like(displacements)), ious, trust)
     return _Ending(moved, ious, trust, "moved")
 

@@ -115,6 +115,7 @@ def row_of(outcome: Outcome) -> Row | None:
         confidence = float(result.fit.outcome == "unchanged")
     row |= {"ratio": round(ratio, 4), "confidence": round(confidence, 4)}
     row |= {"flagged": result.trust.verdict == "doubtful", "moved": result.fit.outcome == "moved"}
+    row |= {"left": not result.trust.moves}
     row |= {"iou_gain": round(result.fit.iou_after - result.fit.iou_before, 4)}
     # What moved as one has a confidence of its own.
     return row, {} if result.move.explains else result.trust.features
@@ -256,8 +257,8 @@ def claims(summary: Record) -> list[Record]:
 def _mixture(cases: Cases) -> Record:
     """Of a mixture with `RIGHT_SHARE` of right scenes: what leaving doubtful clouds changes.
 
-    always, left : mean logarithm of the ratio if the points always move, and if doubtful clouds
-        stay as they are. worse, unflagged : share that gets worse, and without a word.
+    always, left : mean logarithm of the ratio if the points always move, and if clouds stay where
+        tso leaves them. worse, unflagged : share that gets worse, and without a word.
     """
     right = np.array([case["axis"] == UNALTERED.name for case in cases])
     if not right.any() or right.all():
@@ -265,11 +266,13 @@ def _mixture(cases: Cases) -> Record:
     share = np.where(right, RIGHT_SHARE / right.sum(), (1.0 - RIGHT_SHARE) / (~right).sum())
     # What is refused stays as it is.
     ratio = np.array([max(case.get("ratio", 1.0), SMALLEST_RATIO) for case in cases])
-    flagged = np.array([case.get("flagged", True) for case in cases])
+    flagged, left = (
+        np.array([case.get(key, True) for case in cases]) for key in ("flagged", "left")
+    )
     worse = ratio > WORSE
     return {
         "always": float((share * np.log(ratio)).sum()),
-        "left": float((share * np.log(ratio))[~flagged].sum()),
+        "left": float((share * np.log(ratio))[~left].sum()),
         "worse": float(share[worse].sum()),
         "unflagged": float(share[worse & ~flagged].sum()),
     }
