@@ -53,8 +53,8 @@ class Occluder:
     LEAST_IOU, LEAST_GAIN = 0.65, 0.1
     # If other views show the part, at least this share of it is on their masks ...
     SEEN_ELSEWHERE = 0.5
-    # ... and if none does, at most so many cells of the mask touch the part, for each of its cells,
-    # or the rest agrees so far that the object is hardly another one.
+    # ... and if none does, at most this number of cells of the mask touch the part, for each of its
+    # cells, or the rest agrees so well that the object is hardly another one.
     MOST_CONTACT, SAME_IOU = 0.45, 0.85
 
 
