@@ -73,7 +73,9 @@ class Diagnosis:
             tuple(finding for finding in found if not finding.pairs)
             for found in (self.of_input, self.of_views)
         )
-        return replace(self, of_input=of_input, of_views=of_views, most_confidence=1.0)
+        outvoted = self.outvoted and bool(of_views)
+        right = replace(self, of_input=of_input, of_views=of_views, outvoted=outvoted)
+        return replace(right, most_confidence=1.0)
 
     @property
     def suspicious(self) -> tuple[Finding, ...]:
