@@ -229,7 +229,7 @@ def tables(record: Record) -> list[Table]:
             ["wrong is", "runs", "worse", "worse, no warning"],
             halves,
             "Default preset, the hopeless half of the levels",
-            "what is doubtful stays as it was, and so does not get worse",
+            "what is left as it was does not get worse",
         ),
     ]
 
