@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.scenes import example, seen, turned
-from tso_cli import RefineConfig, View, refine
+from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.diagnosis.symptoms import occluder
 from tso_cli.evaluation.metrics import chamfer
@@ -92,6 +92,34 @@ def test_a_part_that_other_masks_show_is_hidden():
     view, _ = _behind_a_wall(scene.view, 20.0, 0.4)
     others = [seen(scene.target, turned(scene.camera, angle)) for angle in (60.0, 120.0)]
     assert occluder(view, 0, scene.target, others)
+
+
+def _ragged(rows: int) -> tuple[View, np.ndarray]:
+    """A mask of 16 x 10 cells of 8 px, and a cloud that covers the lower ``rows`` of them.
+
+    Above the mask the cloud has slats that touch the mask along its whole width.
+    """
+    inside = np.zeros((160, 160), np.float32)
+    inside[64:144, 16:144] = 1.0
+    cells = np.zeros((20, 20), bool)
+    cells[18 - rows : 18, 2:18] = True
+    cells[5, 2:18] = cells[5:8, 2:18:2] = True
+    row, column = np.nonzero(cells.repeat(4, 0).repeat(4, 1))
+    camera = Camera(np.eye(3), np.eye(3), np.array([0.0, 0.0, 5.0]), 160, 160, "orthographic")
+    points = np.stack([2.0 * column + 0.5, 2.0 * row + 0.5, np.zeros(len(row))], 1)
+    return View(inside, camera), points
+
+
+def test_a_part_that_touches_the_mask_broadly_needs_two_masks_that_show_it():
+    view, points = _ragged(rows=8)
+    shows = View(np.pad(np.ones((140, 140), np.float32), 10), view.camera)
+    for others, found in (([], False), ([shows], False), ([shows, shows], True)):
+        assert (occluder(view, 0, points, others) is not None) == found
+
+
+def test_a_part_that_touches_the_mask_broadly_is_hidden_if_the_rest_agrees_very_well():
+    view, points = _ragged(rows=10)
+    assert occluder(view, 0, points)
 
 
 def test_a_cloud_that_is_too_large_at_all_sides_is_not_occluded():

@@ -7,18 +7,20 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from tests.scenes import example
+from tests.scenes import example, seen, turned
 from tso_cli import InputError, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.diagnosis import verification
+from tso_cli.diagnosis.assumptions import Assumption, as_meant
 from tso_cli.diagnosis.examine import Diagnosis, examine
 from tso_cli.diagnosis.findings import Finding
-from tso_cli.diagnosis.verification import verify_hypotheses
+from tso_cli.diagnosis.hypotheses import HYPOTHESES
+from tso_cli.diagnosis.verification import closed, verify_hypotheses
 from tso_cli.optimisation.problem import prepare
 from tso_cli.refinement.run import check
 from tso_cli.refinement.scene import as_scene
 
-from .common import PLANE, around, changed, named, paired
+from .common import PLANE, around, boxed, changed, named, paired
 
 CHAIR = example("chair")
 MISTAKES = ("mask-flipped", "mask-upside-down", "R-transposed")
@@ -90,28 +92,75 @@ def test_a_hypothesis_under_which_the_mask_shows_no_object_is_not_confirmed():
 # Of pairs
 
 
-def _with_pairs(views: list[View]) -> Diagnosis:
-    """The diagnosis of the aeroplane, verified, if masks 0 and 1 seem to be exchanged."""
+def _verified_pairs(points: np.ndarray, views: list[View], given=()) -> Diagnosis:
+    """What the views find of pairs, verified."""
     settings = RefineConfig().settings(len(views))
-    cloud = Cloud(PLANE.points, "cloud").controlled(settings.points, views)
-    diagnosis = examine(cloud, views, views)
-    pairs = Finding("mispaired", (0, 1), pairs=((1, 0), (0, 1)))
-    diagnosis = replace(diagnosis, of_input=(pairs,), of_views=(), most_confidence=0.15)
-    return verify_hypotheses(diagnosis, prepare(cloud, views, settings), views, (), settings)
+    meant = [as_meant(view, given) for view in views]
+    cloud = Cloud(points, "cloud").controlled(settings.points, meant)
+    diagnosis = examine(cloud, views, meant, given)
+    assert "mispaired" in [one.name for one in diagnosis.suspicious]
+    return verify_hypotheses(diagnosis, prepare(cloud, meant, settings), views, given, settings)
 
 
-@pytest.mark.parametrize("order", [[1, 0], [1, 0, 2, 3], [1, 0, 2, 3, 4, 5, 6, 7]])
-def test_masks_that_are_exchanged_are_confirmed_also_among_many(order):
-    diagnosis = _with_pairs(paired(around(len(order)), order))
+@pytest.mark.parametrize(
+    ("order", "views"),
+    [
+        ([1, 0], (0, 1)),
+        ([1, 0, 2, 3], (0, 1)),
+        ([1, 2, 3, 0], (0, 1, 2, 3)),
+        ([0, 1, 2, 3, 4, 5, 7, 6], (6, 7)),
+    ],
+    ids=str,
+)
+def test_masks_that_are_exchanged_are_confirmed_also_among_many(order, views):
+    diagnosis = _verified_pairs(PLANE.points, paired(around(len(order)), order))
+    assert named(diagnosis.suspicious) == [("mispaired", views)]
+
+
+def test_an_exchange_is_verified_with_the_views_that_gain_nothing_by_it():
+    """The car looks alike from 0 and 180 degrees, so one of its three masks gains nothing."""
+    car = example("car")
+    views = [seen(car.target, turned(car.camera, angle)) for angle in (0.0, 90.0, 180.0)]
+    diagnosis = _verified_pairs(car.points, paired(views, [1, 2, 0]))
+    (finding,) = diagnosis.suspicious
+    assert len(finding.pairs) == 2
+    assert closed(finding.pairs) == [(0, 1), (1, 2), (2, 0)]
+
+
+def test_an_exchange_is_verified_under_the_assumptions_about_single_cameras():
+    views = paired(around(2), [1, 0])
+    given = (Assumption(HYPOTHESES["opengl"], views[0].name),)
+    views[0] = as_meant(views[0], given)
+    diagnosis = _verified_pairs(PLANE.points, views, given)
     assert named(diagnosis.suspicious) == [("mispaired", (0, 1))]
-    assert diagnosis.most_confidence == 0.15
+
+
+def _seeming(views: list[View], pairs: tuple[tuple[int, int], ...]) -> list[Finding]:
+    """What is found by `explain` if masks seem to be exchanged as ``pairs`` say."""
+    numbers = tuple(sorted(camera for _, camera in pairs))
+    return [Finding("mispaired", numbers, 0.7, 0.3, pairs=pairs)]
 
 
 @pytest.mark.parametrize("count", [2, 4, 8])
-def test_masks_that_seem_to_be_exchanged_and_are_not_are_paired_rightly(count):
-    diagnosis = _with_pairs(around(count))
+def test_masks_that_seem_to_be_exchanged_and_are_not_are_paired_rightly(count, monkeypatch):
+    views, pairs = around(count), ((1, 0), (0, 1))
+    monkeypatch.setattr("tso_cli.diagnosis.explain._mispaired", lambda *_: _seeming(views, pairs))
+    diagnosis = _verified_pairs(PLANE.points, views)
     assert diagnosis.suspicious == ()
     assert diagnosis.most_confidence == 1.0
+    assert not diagnosis.outvoted
+    result = refine(PLANE.points, views)
+    assert result.findings == ()
+    assert result.trust.verdict == "improved"
+
+
+def test_what_else_is_wrong_is_found_if_masks_are_paired_rightly(monkeypatch):
+    views, pairs = around(4), ((1, 0), (2, 1), (0, 2))
+    views[3] = boxed(views[3])
+    monkeypatch.setattr("tso_cli.diagnosis.explain._mispaired", lambda *_: _seeming(views, pairs))
+    diagnosis = _verified_pairs(PLANE.points, views)
+    assert named(diagnosis.suspicious) == [("box", (3,))]
+    assert diagnosis.outvoted
 
 
 # In a refinement

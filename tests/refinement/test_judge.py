@@ -9,6 +9,7 @@ from tests.losses.scenes import points_at
 from tests.scenes import block, problem_of
 from tso_cli import Camera, RefineConfig, TsoError, View, refine
 from tso_cli.cloud.cloud import Cloud
+from tso_cli.diagnosis.confidence import LEAST_TO_MOVE
 from tso_cli.diagnosis.examine import Diagnosis, examine
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.optimisation.learned_start import beginning
@@ -153,7 +154,7 @@ def _of(optimised, view, accept_doubtful=False, **changed):
 def test_a_doubtful_displacement_is_taken_or_left(chair, optimised, accepted, outcome):
     whole = _of(optimised, chair.view)
     assert whole.trust.verdict == "improved"
-    found = dict(of_views=(Finding("opengl"),), outvoted=True, most_confidence=0.4)
+    found = dict(of_views=(Finding("opengl"),), outvoted=True, most_confidence=LEAST_TO_MOVE - 0.01)
     result = _of(optimised, chair.view, accepted, **found)
     assert result.fit.outcome == outcome
     assert result.trust.verdict == "doubtful"

@@ -45,6 +45,7 @@ class Diagnosis:
     explanation : None in the network modes, which place their cloud themselves.
     most_confidence : an upper bound of the confidence, from what the masks can show.
     outvoted : whether the suspicious views are few, so that the others outvote them.
+    otherwise : where masks and cameras seem to be mispaired, the diagnosis if they are not.
     """
 
     placements: tuple[Placement, ...]
@@ -56,26 +57,12 @@ class Diagnosis:
     explanation: Explanation | None = None
     most_confidence: float = 1.0
     outvoted: bool = False
-
-    @property
-    def pairs(self) -> tuple[Finding, ...]:
-        """The finding that masks and cameras are mispaired, or ()."""
-        return tuple(finding for finding in self.suspicious if finding.pairs)
+    otherwise: Diagnosis | None = None
 
     @property
     def unverified(self) -> tuple[Finding, ...]:
         """What short optimisations verify: weak alternatives, or another order of the masks."""
-        return self.weak or self.pairs
-
-    def without_pairs(self) -> Diagnosis:
-        """The diagnosis, if masks and cameras are paired rightly."""
-        of_input, of_views = (
-            tuple(finding for finding in found if not finding.pairs)
-            for found in (self.of_input, self.of_views)
-        )
-        outvoted = self.outvoted and bool(of_views)
-        right = replace(self, of_input=of_input, of_views=of_views, outvoted=outvoted)
-        return replace(right, most_confidence=1.0)
+        return self.weak or tuple(finding for finding in self.suspicious if finding.pairs)
 
     @property
     def suspicious(self) -> tuple[Finding, ...]:
@@ -147,15 +134,26 @@ def _explained(
         symptoms.bounding_box(outline, view, number, points)
         for number, (outline, view) in enumerate(zip(outlines, views, strict=True))
     ]
-    are_boxes = np.array([box is not None for box in boxes])
-    found = explain(points, outlines, assumptions, are_boxes)
+    of_scene = points, outlines, assumptions, np.array([box is not None for box in boxes])
+    diagnosis = _with_explanation(diagnosis, explain(*of_scene), boxes)
+    if not diagnosis.of_input:
+        diagnosis = _with_occluders(diagnosis, points, views)
+    if any(finding.pairs for finding in diagnosis.suspicious):
+        paired = explain(*of_scene, mispaired=False)
+        return replace(diagnosis, otherwise=_with_explanation(diagnosis, paired, boxes))
+    return diagnosis
+
+
+def _with_explanation(
+    diagnosis: Diagnosis, found: Explanation, boxes: Sequence[Finding | None]
+) -> Diagnosis:
+    """With what explains cloud and masks, and the masks that are bounding ``boxes``."""
     of_views: tuple[Finding, ...] = ()
     if not found.of_input:
         of_views = tuple(finding for finding in (*boxes, *found.of_views) if finding)
-        diagnosis = _with_occluders(diagnosis, points, views, of_views)
     # Pairs are one finding about several views.
     suspicious = sum(len(one.pairs) or 1 for one in of_views)
-    most_confidence = CONFIDENCE_OF_BOXES if are_boxes.all() else 1.0
+    most_confidence = CONFIDENCE_OF_BOXES if all(boxes) else 1.0
     if found.of_input and found.of_input[0].pairs:
         most_confidence = CONFIDENCE_OF_MISPAIRED
     return replace(
@@ -166,16 +164,14 @@ def _explained(
         explanation=found,
         most_confidence=most_confidence,
         outvoted=bool(of_views)
-        and len(views) >= FEWEST_VIEWS_TO_OUTVOTE
-        and suspicious < OUTVOTED_SHARE * len(views),
+        and len(boxes) >= FEWEST_VIEWS_TO_OUTVOTE
+        and suspicious < OUTVOTED_SHARE * len(boxes),
     )
 
 
-def _with_occluders(
-    diagnosis: Diagnosis, points: Array, views: Sequence[View], of_views: Sequence[Finding]
-) -> Diagnosis:
+def _with_occluders(diagnosis: Diagnosis, points: Array, views: Sequence[View]) -> Diagnosis:
     """With what is hidden in the views that nothing else is wrong with."""
-    wrong = {number for finding in of_views for number in finding.views}
+    wrong = {number for finding in diagnosis.of_views for number in finding.views}
     notes, hidden = list(diagnosis.notes), {}
     right = {number: view for number, view in enumerate(views) if number not in wrong}
     for number, view in right.items():
@@ -183,7 +179,8 @@ def _with_occluders(
         if found := symptoms.occluder(view, number, points, others):
             notes.append(found[0])
             hidden[number] = found[1]
-    return replace(diagnosis, notes=tuple(notes), hidden=hidden)
+    weak = () if hidden else diagnosis.weak
+    return replace(diagnosis, notes=tuple(notes), hidden=hidden, weak=weak)
 
 
 def _notes(

@@ -154,11 +154,16 @@ class Table:
 
 
 def explain(
-    points: Array, outlines: Sequence[Outline], given: Sequence[Assumption], boxes: Bits
+    points: Array,
+    outlines: Sequence[Outline],
+    given: Sequence[Assumption],
+    boxes: Bits,
+    mispaired: bool = True,
 ) -> Explanation:
     """What explains ``points`` [N, 3] and the views; a few milliseconds a view.
 
     ``boxes`` [V] : which masks are bounding boxes, which show nothing of the object's shape.
+    ``mispaired`` : whether the masks may be in another order than their cameras.
     """
     large = np.array([outline.foreground_cells >= FEWEST_CELLS for outline in outlines])
     table = Table(points, outlines, given)
@@ -167,7 +172,9 @@ def explain(
     if not len(shown):
         return Explanation(as_given)
     scores = table.scores(shown)
-    pairs = _mispaired(points, outlines, given, shown, float(scores.max()))
+    pairs: list[Finding] = []
+    if mispaired:
+        pairs = _mispaired(points, outlines, given, shown, float(scores.max()))
     if pairs and len(pairs[0].views) >= OUTVOTED_SHARE * len(outlines):
         return Explanation(as_given, tuple(pairs))
     if not pairs and (found := table.likely(shown, scores)):

@@ -36,22 +36,23 @@ def verify_hypotheses(
 ) -> Diagnosis:
     """The diagnosis, whose weak hypotheses are found or dropped as the optimisation says.
 
-    Silhouettes may agree somewhat better under a hypothesis by chance, and so may those of another
-    order of the masks, which is dropped too. Short optimisations are compared, as given and under
-    each hypothesis, all without a mirror plane. An object of another shape fits them about as well;
-    the same object, seen rightly, fits far better.
+    Silhouettes may agree somewhat better under a hypothesis by chance, and so may those of masks in
+    another order. Short optimisations are compared, as given and under each hypothesis, all without
+    a mirror plane. An object of another shape fits them about as well; the same object, seen
+    rightly, fits far better.
 
     Nothing is compared with another preset than "best", with depth maps or photos, or without
-    time ``until`` then (`final_losses`). ``read`` are the views as they were read, which are meant
+    time ``until`` then (`final_losses`). Weak hypotheses are not confirmed then, and another order
+    of the masks stays a finding. ``read`` are the views as they were read, which are meant
     as the assumptions ``given`` say. Raises KeyboardInterrupt where Ctrl-C ended an optimisation.
     """
     if not (diagnosis.unverified and settings.smooth and settings.steps and problem.masks_alone):
         return diagnosis
     start = problem.cloud.start
     weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start).loss
-    if diagnosis.pairs:
+    if diagnosis.otherwise:
         # Views that are paired wrongly contradict the others, and may have hardly a weight.
-        about = {number for pair in diagnosis.pairs[0].pairs for number in pair}
+        about = {mask for one in diagnosis.unverified for mask, _ in closed(one.pairs)}
         weights = [float(number in about) for number in range(len(read))]
     without_plane = problem.with_symmetry(SymmetryDecision("not_asked"))
     problems, compared = [problem.without_flipped()], []
@@ -60,14 +61,18 @@ def verify_hypotheses(
         with suppress(InputError):
             problems.append(without_plane.with_views(_views_under(one, read, given)))
             compared.append(one)
-    losses = final_losses(problems, weights, SmoothField(start), until) if compared else None
-    if losses is None:
+    found: list[Finding] = []
+    if compared:
+        losses = final_losses(problems, weights, SmoothField(start), until)
+        if losses is None:
+            return diagnosis
+        order = sorted(zip(losses[1:], compared, strict=True), key=lambda pair: pair[0])
+        found = [one for loss, one in order if loss < LOSS_LEFT * losses[0]]
+    if diagnosis.otherwise and found:
         return diagnosis
-    least = LOSS_LEFT * losses[0]
-    order = sorted(zip(losses[1:], compared, strict=True), key=lambda pair: pair[0])
-    found = [one for loss, one in order if loss < least]
-    if diagnosis.pairs:
-        return diagnosis if found else diagnosis.without_pairs()
+    if diagnosis.otherwise:
+        otherwise = replace(diagnosis.otherwise, notes=diagnosis.notes)
+        return verify_hypotheses(otherwise, problem, read, given, settings, until)
     if not found:
         return replace(diagnosis, weak=())
     return replace(diagnosis, of_input=tuple(found), weak=(), outvoted=False)
@@ -80,10 +85,27 @@ def _views_under(
     assumed = [one for one in given if one != hypothesis.without]
     if not hypothesis.without:
         assumed += map(Assumption, hypothesis.hypotheses)
-    views = list(read)
-    for mask, camera in hypothesis.pairs:
-        views[mask] = replace(read[mask], camera=read[camera].camera)
-    return [as_meant(view, assumed) for view in views]
+    views = [as_meant(view, assumed) for view in read]
+    paired = dict(closed(hypothesis.pairs))
+    return [
+        replace(view, camera=views[paired.get(number, number)].camera)
+        for number, view in enumerate(views)
+    ]
+
+
+def closed(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The (mask, camera) ``pairs``, and a camera for each mask whose own camera another one has.
+
+    An exchange names only the views that gain by it.
+    """
+    paired = dict(pairs)
+    for first in set(paired) - set(paired.values()):
+        # Camera ``first`` has lost its mask.
+        last = first
+        while last in paired:
+            last = paired[last]
+        paired[last] = first
+    return sorted(paired.items())
 
 
 def verify_plane(
