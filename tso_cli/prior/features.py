@@ -35,7 +35,7 @@ COVERED = 0.02
 # The cells of the foreground are counted as if there were this many.
 CELLS = 256.0
 # A point behind the camera, or nearer to its plane than this share of the cloud's distance, is seen
-# as one that is so near: beyond the maps.
+# as one that is so near: beyond the maps, unless it is on the axis.
 NEAREST = 1e-3
 # Where a cell has no point.
 NO_DEPTH = -9.0

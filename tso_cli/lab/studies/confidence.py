@@ -115,7 +115,7 @@ def row_of(outcome: Outcome) -> Row | None:
         confidence = float(result.fit.outcome == "unchanged")
     row |= {"ratio": round(ratio, 4), "confidence": round(confidence, 4)}
     row |= {"flagged": result.trust.verdict == "doubtful", "moved": result.fit.outcome == "moved"}
-    row |= {"left": not result.trust.moves}
+    row |= {"left": result.trust.verdict == "doubtful" and not result.trust.moves}
     row |= {"iou_gain": round(result.fit.iou_after - result.fit.iou_before, 4)}
     # What moved as one has a confidence of its own.
     return row, {} if result.move.explains else result.trust.features
@@ -255,10 +255,10 @@ def claims(summary: Record) -> list[Record]:
 
 
 def _mixture(cases: Cases) -> Record:
-    """Of a mixture with `RIGHT_SHARE` of right scenes: what leaving doubtful clouds changes.
+    """Of a mixture with `RIGHT_SHARE` of right scenes: what leaving some clouds changes.
 
-    always, left : mean logarithm of the ratio if the points always move, and if clouds stay where
-        tso leaves them. worse, unflagged : share that gets worse, and without a word.
+    always, left : mean logarithm of the ratio if the points always move, and if the clouds that tso
+        leaves stay as they are. worse, unflagged : share that gets worse, and without a word.
     """
     right = np.array([case["axis"] == UNALTERED.name for case in cases])
     if not right.any() or right.all():
@@ -324,7 +324,7 @@ def tables(record: Record) -> list[Table]:
     rows = [[name, *row.values()] for name, row in record["summary"].items()]
     reliability = ["results", "confidence", "not worse"]
     mixture = [list(record["mixture"].values())] if record["mixture"] else []
-    columns = ["log ratio, always moved", "doubtful left", "worse", "worse, not flagged"]
+    columns = ["log ratio, always moved", "as tso does", "worse", "worse, not flagged"]
     note = f"{RIGHT_SHARE:.0%} right scenes; mean logarithm of after / before, and shares"
     return [
         Table(header, rows),
