@@ -323,7 +323,7 @@ def confidence() -> str:
         f"with one. Then {200 * mixture['worse']:.0f} of 200 results got worse by over 5 %, and "
         f"{200 * mixture['unflagged']:.0f} of 200 without a\n"
         f"word. The mean logarithm of after / before was {mixture['always']:.2f}. It is "
-        f"{mixture['left']:.2f} if clouds\nstay as they were where tso leaves them."
+        f"{mixture['left']:.2f} if the clouds\nthat tso leaves count as unchanged."
     )
     header = ["what is wrong", "worse by over 5 %", "flagged, of those worse", "AUC"]
     return f"{markdown(header, rows)}\n\n{note}"

@@ -296,17 +296,18 @@ def test_a_refused_displacement_can_be_accepted(moved):
         (
             {},
             Trust("doubtful", 0.43, "motion", REASONS["motion"]),
-            f"the result is doubtful (confidence 0.43): {REASONS['motion']}",
+            f"the result is doubtful (confidence 0.43), and the points moved: {REASONS['motion']}",
         ),
         (
             {},
             Trust("doubtful", 0.43, "camera", REASONS["camera"]),
-            f"the result is doubtful (confidence 0.43): {REASONS['camera']}{ADVICE_OF_CAMERA}",
+            "the result is doubtful (confidence 0.43), and the points moved: "
+            f"{REASONS['camera']}{ADVICE_OF_CAMERA}",
         ),
         (
             {},
             Trust("doubtful", 0.49, "unsure-camera", "two poses fit"),
-            "the result is doubtful (confidence 0.49): two poses fit",
+            "the result is doubtful (confidence 0.49), and the points moved: two poses fit",
         ),
         ({}, Trust("improved", 0.9), None),
     ],
@@ -317,16 +318,16 @@ def test_the_warning_of_a_result(moved, fit, trust, warning):
 
 
 @pytest.mark.parametrize(
-    ("outcome", "share", "taken"),
+    ("outcome", "taken"),
     [
-        ("moved", 1.0, ""),
-        ("refused", 0.0, ", so the cloud is left as it was"),
+        ("moved", ", and the points moved"),
+        ("refused", ", so the cloud is left as it was"),
     ],
 )
-def test_a_suspicious_finding_is_the_reason_and_its_option_is_named(moved, outcome, share, taken):
+def test_a_suspicious_finding_is_the_reason_and_its_option_is_named(moved, outcome, taken):
     finding = Finding("opengl", (0,))
-    trust = Trust("doubtful", 0.8, FINDING, "in Python's words", share)
-    fit = {"outcome": outcome, "best_step": 0 if outcome == "refused" else 6}
+    trust = Trust("doubtful", 0.8, FINDING, "in Python's words")
+    fit = {"outcome": outcome, "best_step": 6 if outcome == "moved" else 0}
     result = changed(moved, fit=fit, trust=trust, findings=(finding,))
     assert ONE.reason(result) == ONE.suspicion([finding])
     assert ONE.warnings(result) == [f"the result is doubtful{taken}: {ONE.suspicion([finding])}"]

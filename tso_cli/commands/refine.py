@@ -242,7 +242,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     "Write how far the masks determine each point, 0 to 1, as `confidence` of the .ply, and name "
     "the view whose mask would help most.",
 )
-@options.flag("--accept-doubtful", "Take the whole displacement even if the result is doubtful.")
+@options.flag("--accept-doubtful", "Move the points even where a doubtful cloud would be left.")
 @options.flag(
     "--strict", "Write nothing if the result is doubtful or has no confidence; exit code 3."
 )

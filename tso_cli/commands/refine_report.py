@@ -45,7 +45,7 @@ CONVENTION = {
     "moving": "number of control points, which move by themselves: samples of a mesh's faces, or "
     "some points of a large cloud; all others follow them",
     "outliers": "points far from the rest, which stay where they are",
-    "confidence": "probability that the whole displacement does not make the cloud worse by over "
+    "confidence": "probability that the displacement does not make the cloud worse by over "
     "5 % in Chamfer distance (a rising IoU is no proof); 1 where the start is best; null where "
     "it is not known",
     "determined": "share of the motions of the points that masks and depth maps fix more firmly "

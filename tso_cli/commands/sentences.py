@@ -180,7 +180,10 @@ class Words:
             sure = ""
             if trust.confidence is not None and trust.reason != FINDING:
                 sure = f" (confidence {shown(trust.confidence)})"
-            taken = ", so the cloud is left as it was" if fit.outcome == "refused" else ""
+            taken = {
+                "refused": ", so the cloud is left as it was",
+                "moved": ", and the points moved",
+            }.get(fit.outcome, "")
             messages.append(f"the result is doubtful{sure}{taken}: {reason}")
         # A note that is the reason of the doubt is said once.
         notes = [finding for finding in result.findings if finding.name != trust.reason]

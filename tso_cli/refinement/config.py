@@ -59,7 +59,7 @@ class RefineConfig:
     keep : what stays, where one camera cannot tell the size of a cloud from its distance: "size",
         "distance", or "auto" (the distance for a shift and a similarity, else the size).
     only : move as one, and leave the shape as it is.
-    accept_doubtful : take the whole displacement although the result is doubtful.
+    accept_doubtful : move the points also where the cloud would be left as it was.
     point_confidence : also find how far the evidence determines each point, and the view that
         would help most.
     budget : "auto": the steps of the preset; or seconds, in which the refinement ends. In a batch

@@ -178,7 +178,7 @@ def _trust(document: dict[str, Any], words: PageWords) -> str:
     confidence = document["confidence"]
     if confidence is not None:
         # What harm is, the verdict says.
-        meaning = "probability that the whole displacement does not harm the cloud"
+        meaning = "probability that the displacement does not harm the cloud"
         shown = f"{confidence:.4f}"[:4]
         parts.append(
             f'<p class=number>{shown}</p><meter min=0 max=1 low=0.5 value="{confidence:.4f}" '
