@@ -106,9 +106,13 @@ def visible_in(view: View, x: Array, y: Array) -> Bits:
     height, width = view.mask.shape
     visible: Bits = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
     if view.known is not None:
-        column, row = (np.rint(places[visible]).astype(int) for places in (x, y))
-        visible[visible] = view.known[row, column]
+        visible[visible] = view.known[pixels_at(x[visible], y[visible])]
     return visible
+
+
+def pixels_at(x: Array, y: Array) -> tuple[Indices, Indices]:
+    """Rows and columns of the pixels at the places ``x`` and ``y``, px."""
+    return np.rint(y).astype(int), np.rint(x).astype(int)
 
 
 class Outline:

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..geometry.arrays import Array, Bits, Indices
+from ..geometry.arrays import Array, Bits
 from ..geometry.points import longest_side
 from ..geometry.view import View, is_grey_inside, object_box
-from .cells import CELLS, FEWEST_CELLS, Outline, dilated, visible_in
+from .cells import CELLS, FEWEST_CELLS, Outline, dilated, pixels_at, visible_in
 from .findings import Finding
 from .placement import Placement
 
@@ -178,7 +178,7 @@ def occluder(
         return None
     hidden = cells.pixels_of(dilated(part), *view.mask.shape) & ~view.inside
     shown = visible[0]
-    of_part = hidden[_pixels(np.stack([x[0, shown], y[0, shown]], 1))]
+    of_part = hidden[pixels_at(x[0, shown], y[0, shown])]
     shares = _shares_on_masks(points[shown][of_part], others)
     if shares and np.mean(shares) < Occluder.SEEN_ELSEWHERE:
         return None
@@ -197,11 +197,5 @@ def _shares_on_masks(points: Array, views: Sequence[View]) -> list[float]:
         places = view.camera.project(points)[0]
         places = places[visible_in(view, *places.T)]
         if len(places) >= max(1.0, Occluder.SEEN_ELSEWHERE * len(points)):
-            shares.append(float(view.inside[_pixels(places)].mean()))
+            shares.append(float(view.inside[pixels_at(*places.T)].mean()))
     return shares
-
-
-def _pixels(places: Array) -> tuple[Indices, Indices]:
-    """Rows and columns of ``places`` [N, 2], px."""
-    column, row = np.rint(places).astype(int).T
-    return row, column
