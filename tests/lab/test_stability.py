@@ -244,11 +244,12 @@ def test_points_behind_the_camera_are_warned_of_on_the_way(cases):
 
 
 @pytest.mark.slow
-def test_a_chair_stays_under_a_yaw_of_40_degrees_and_gets_better_under_one_of_2(cases):
+def test_a_chair_is_doubtful_under_a_yaw_of_40_degrees_and_gets_better_under_one_of_2(cases):
     axis = AXIS["yaw of the camera"]
     good, bad = level_rows(cases[:1], [0, 1], axis, "best", POINTS["best"], [2.0, 40.0])
     assert max(good["ratio"]) < 0.7
-    assert set(bad["ratio"]) == {1.0}
+    assert set(good["said"]) == {"-"}
+    assert min(bad["ratio"]) >= 1.0
     assert set(bad["said"]) == {"d"}
 
 
