@@ -231,15 +231,15 @@ def test_a_finding_is_the_reason_also_with_an_unsure_camera():
 
 
 @pytest.mark.parametrize(
-    ("findings", "joined"),
+    ("about", "findings", "joined"),
     [
-        ([Finding("opengl", (0,))], "{0}"),
-        ([Finding("box", (0,)), Finding("mispaired", (1, 2))], "{0}; {1}"),
-        ([Finding("opengl", (0, 1)), Finding("pytorch3d", (0, 1))], "{0} or {1}"),
+        ("of_input", [Finding("opengl", (0,))], "{0}"),
+        ("of_input", [Finding("opengl", (0,)), Finding("pytorch3d", (0,))], "{0} or {1}"),
+        ("of_views", [Finding("box", (0,)), Finding("mispaired", (1, 2))], "{0}; {1}"),
     ],
 )
-def test_alternatives_are_joined_by_or_and_findings_of_views_are_listed(findings, joined):
-    diagnosis = Diagnosis((), of_input=tuple(findings))
+def test_alternatives_are_joined_by_or_and_findings_of_views_are_listed(about, findings, joined):
+    diagnosis = Diagnosis((), **{about: tuple(findings)})
     says = joined.format(*(finding.says for finding in findings))
     assert words_of(diagnosis) == f"it looks as if {says}"
 
@@ -372,7 +372,7 @@ def test_a_confirmed_weak_hypothesis_leaves_the_cloud_as_any_named_mistake_does(
 
 def test_a_result_of_a_depth_map_has_the_confidence_of_its_kind():
     depth = np.where(CHAIR.mask > 0.5, np.median(CHAIR.camera.project(CHAIR.target)[1]), np.nan)
-    trust = refine(CHAIR.points, replace(CHAIR.view, depth=depth)).trust
+    trust = refine(CHAIR.points, replace(CHAIR.view, depth=depth, depth_kind="z")).trust
     assert trust == Trust("improved", WITHOUT_FEATURES)
 
 

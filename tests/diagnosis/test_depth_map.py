@@ -128,6 +128,12 @@ def test_a_map_whose_relief_is_not_the_clouds_is_of_something_else():
     assert "does not fit the cloud or is of another picture" in finding.says
 
 
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_map_without_relief_is_of_something_else(name):
+    scene = SCENES[name]
+    assert held(scene.points, with_map(name, np.full(scene.mask.shape, 2.0))) == "unrelated"
+
+
 def test_a_flat_or_small_object_tells_nothing_but_another_unit():
     camera = Camera.canonical(64, 64)
     rng = np.random.default_rng(0)

@@ -73,8 +73,15 @@ def test_findings_of_the_whole_input_come_before_those_of_views():
     views = [boxed(changed(view, "opengl")) for view in around(3)[:1]]
     views += [changed(view, "opengl") for view in around(3)[1:]]
     diagnosis = examined(PLANE.points, views)
-    assert [finding.name for finding in diagnosis.suspicious] == ["opengl"]
+    assert named(diagnosis.suspicious) == [("opengl", (0, 1, 2))]
     assert diagnosis.of_views == ()
+
+
+def test_what_is_wrong_with_all_masks_but_a_box_is_about_all_views():
+    chair = example("chair")
+    views = [seen(chair.target, turned(chair.camera, 90.0 * i)) for i in range(4)]
+    wrong = [changed(view, "mask-turned") for view in (boxed(views[0]), *views[1:])]
+    assert ("mask-turned", (0, 1, 2, 3)) in named(examined(chair.target, wrong).of_input)
 
 
 def test_a_weak_hypothesis_is_not_suspicious():
@@ -102,6 +109,18 @@ def test_no_cloud_follows_a_box_in_place_of_its_mask(name):
     assert result.trust.verdict == "doubtful"
     assert not result.trust.moves
     assert np.array_equal(result.points, scene.points)
+
+
+def test_a_box_among_masks_hides_no_weak_mistake_of_the_others():
+    """Short optimisations compare the other masks, so that these do not outvote the box."""
+    chair = example("chair")
+    cameras = [turned(chair.camera, 90.0 * i) for i in range(4)]
+    views = [seen(chair.target, camera) for camera in cameras]
+    wrong = [changed(view, "pix3d") for view in (boxed(views[0]), *views[1:])]
+    assert [one.name for one in examined(chair.points, wrong).suspicious] == ["box"]
+    result = refine(chair.points, wrong)
+    assert "pix3d" in [one.name for one in result.findings]
+    assert np.array_equal(result.points, chair.points)
 
 
 def test_with_one_box_among_masks_the_cloud_follows_the_others():

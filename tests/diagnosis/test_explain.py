@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from tests.scenes import example, in_photo, seen, turned
-from tso_cli import View
+from tso_cli import Camera, View
 from tso_cli.diagnosis.assumptions import assumptions_of
-from tso_cli.diagnosis.explain import MOST_ALTERNATIVES
-from tso_cli.diagnosis.hypotheses import FOCAL_UNITS, HYPOTHESES
+from tso_cli.diagnosis.cells import Outline
+from tso_cli.diagnosis.explain import MOST_ALTERNATIVES, Margin, Table
+from tso_cli.diagnosis.hypotheses import FOCAL_UNITS, HYPOTHESES, hypothesis_called
 from tso_cli.losses.silhouette import silhouette_of
 
 from .common import (
@@ -55,9 +56,21 @@ def test_a_focal_length_in_millimetres_is_found_in_a_large_picture(millimetres):
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
+def test_a_focal_length_in_millimetres_does_not_pass_for_a_camera_inside_the_cloud(name):
+    """As who reads 67.5 mm. In millimetres the camera would see points all over its picture."""
+    scene = example(name)
+    K = scene.camera.K.copy()
+    K[[0, 1], [0, 1]] *= 36.0 / scene.camera.width
+    view = replace(scene.view, camera=replace(scene.camera, K=K))
+    names = [finding.name for finding in explained(scene.points, [view]).of_input]
+    assert "focal-mm-36" in names
+    assert not [name for name in names if name.startswith("camera-")]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_another_unit_of_the_focal_length_is_not_tried_where_pixels_are_plausible(name):
     scene = example(name)
-    K = np.diag([0.2, 0.2, 1.0]) @ scene.camera.K
+    K = np.diag([0.3, 0.3, 1.0]) @ scene.camera.K
     wide = replace(scene.view, camera=replace(scene.camera, K=K))
     for view in (scene.view, wide):
         names = [finding.name for finding in explained(scene.target, [view]).of_input]
@@ -197,6 +210,30 @@ def test_the_principal_point_tells_the_width_that_K_is_of(width):
     assert f"K-of-width={width}" in [finding.name for finding in found.of_input]
 
 
+@pytest.mark.parametrize("size", [(1, 64), (64, 1)])
+def test_a_picture_of_one_column_or_row_has_no_half(size):
+    mask = np.zeros(64, np.float32)
+    mask[8:56] = 1.0
+    view = View(mask.reshape(size), Camera.canonical(*size[::-1]))
+    explained(PLANE.points, [view])
+
+
+def test_a_width_that_no_assumption_can_name_is_not_tried():
+    """As who reads a principal point in ten thousandths of a pixel."""
+    camera = replace(PLANE.camera, K=np.diag([1e4, 1e4, 1.0]) @ PLANE.camera.K)
+    outlines = [Outline(replace(PLANE.view, camera=camera))]
+    tried = [one for two in Table(PLANE.points, outlines, ()).candidates for one in two.changed]
+    assert [one for one in tried if one.text.startswith("K-of-width")]
+    for one in tried:
+        assert hypothesis_called(one.text) == one.hypothesis
+
+
+def test_a_wrong_width_of_K_is_left_out_and_not_mended_by_another_width():
+    given = assumptions_of(["K-of-width=518"], [PLANE.view.name])
+    (finding,) = explained(PLANE.points, [PLANE.view], given).of_input
+    assert finding.without == given[0]
+
+
 @pytest.mark.parametrize("times", [0.56, 0.7, 1.4, 1.8])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_stretched_can_is_no_can_with_exchanged_axes(axis, times):
@@ -243,6 +280,15 @@ def test_masks_that_are_not_in_the_order_of_their_cameras_are_found_in_pairs(ord
     assert finding.views == tuple(moved)
 
 
+@pytest.mark.parametrize(("name", "degrees"), [("chair", 60.0), ("car", 30.0)])
+def test_several_masks_that_are_exchanged_need_to_gain_less_than_one(name, degrees):
+    scene = example(name)
+    views = [seen(scene.target, turned(scene.camera, degrees * i)) for i in range(4)]
+    (finding,) = explained(scene.points, paired(views, [1, 2, 3, 0])).of_input
+    assert finding.pairs == ((3, 0), (0, 1), (1, 2), (2, 3))
+    assert finding.gain < Margin.FOUND
+
+
 def test_a_pair_among_many_is_a_finding_of_views():
     views = around(8)
     found = explained(PLANE.points, paired(views, [0, 1, 2, 3, 4, 5, 7, 6]))
@@ -281,9 +327,10 @@ def test_flipped_masks_of_a_symmetric_object_do_not_pass_for_exchanged_ones():
 
 def test_views_that_agree_are_exchanged_with_none():
     """All masks of an object of revolution are alike; another's mask may fit a little better."""
-    ball = np.random.default_rng(0).normal(size=(1024, 3)) * [0.1, 0.2, 0.1]
+    ball = np.random.default_rng(0).normal(size=(16_384, 3))
+    ball *= [0.1, 0.2, 0.1] / np.linalg.norm(ball, axis=1, keepdims=True)
     views = [seen(ball, turned(PLANE.camera, 40.0 * i)) for i in range(4)]
-    found = explained(ball, paired(views, [3, 0, 1, 2]))
+    found = explained(1.2 * ball, paired(views, [3, 0, 1, 2]))
     assert found.of_input == ()
     assert found.of_views == ()
 

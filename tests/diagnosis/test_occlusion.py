@@ -122,6 +122,16 @@ def test_a_part_that_touches_the_mask_broadly_is_hidden_if_the_rest_agrees_very_
     assert occluder(view, 0, points)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_cloud_that_fills_the_hole_of_a_frame_is_not_occluded():
+    # 15 cells across: the middle of one cell is the middle of the mask.
+    away = np.abs(np.mgrid[:160, :160] - 79.5).max(0)
+    view = View(np.float32((away > 45) & (away < 75)), _ragged(8)[0].camera)
+    row, column = np.nonzero(away < 75)
+    points = np.stack([column, row, np.zeros(len(row))], 1)[::5]
+    assert occluder(view, 0, points.astype(float)) is None
+
+
 def test_a_cloud_that_is_too_large_at_all_sides_is_not_occluded():
     scene = example("chair")
     middle = scene.target.mean(0)

@@ -77,6 +77,14 @@ def test_a_part_that_runs_through_the_cloud_does_not_hide_the_part_that_the_clou
     assert part_met(placement, view) == (29.5, 19.5, 33.5, 23.5)
 
 
+def test_a_cloud_around_the_picture_meets_no_part(cloud):
+    view = View(block(np.s_[4:60, 4:60]), CANONICAL)
+    around = place(np.array([[-9.0, -9.0, 0.0], [9.0, 9.0, 0.0]]), view)
+    assert around.points_box
+    assert not around.inside_image
+    assert part_met(around, view) is None
+
+
 def test_an_invisible_cloud_meets_no_part(cloud):
     view = View(block(np.s_[20:44, 20:44]), CANONICAL)
     assert part_met(place(cloud + [0.0, 0.0, 9.0], view), view) is None

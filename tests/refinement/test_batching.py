@@ -13,7 +13,7 @@ import pytest
 
 from tests.corruption import assert_refused
 from tests.losses.common import FORMS, in_form
-from tests.scenes import block
+from tests.scenes import block, example
 from tso_cli import (
     Camera,
     InputError,
@@ -68,6 +68,15 @@ def test_in_any_number_of_processes_results_have_the_bits_of_each_alone(
         results = in_form(form, refine_batch, scenes, config)
         for result, alone in zip(results, expected, strict=True):
             _assert_same(result, alone)
+
+
+def test_in_a_batch_a_mask_without_a_camera_is_as_unsure_as_alone():
+    scene = example("airplane")
+    alone = refine(scene.points, scene.mask)
+    (result,) = refine_batch([(scene.points, scene.mask)])
+    for one in (alone, result):
+        assert [finding.name for finding in one.findings] == ["assumed-camera"]
+        assert one.trust.reason == "assumed-camera"
 
 
 def test_one_failing_cloud_of_a_batch_leaves_the_others_unaffected():

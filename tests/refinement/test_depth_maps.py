@@ -51,6 +51,15 @@ def test_a_right_map_is_used_as_if_it_had_not_been_tested(name):
     np.testing.assert_array_equal(tested.points, told.points)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_a_cloud_that_fits_its_mask_is_not_bent_to_a_map_that_is_shifted(name):
+    """A shift alone is no sign of a wrong map, since a cloud may be as far out of place."""
+    result = refine(SCENES[name].target, with_map(DEPTHS[name] + 0.25, name=name))
+    assert of_maps(result) == []
+    assert (result.trust.verdict, result.trust.reason) == ("doubtful", "misfit")
+    np.testing.assert_array_equal(result.points, SCENES[name].target)
+
+
 def test_what_is_told_is_believed(by_mask):
     result = refine(CHAIR.points, with_map(2.0 + WRONG["depth-inverse"] / 20.0, "z"))
     assert of_maps(result) == []

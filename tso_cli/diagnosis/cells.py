@@ -179,13 +179,16 @@ class Outline:
         """[C], IoU of the mask and ``points`` [N, 3] in cells under each option alone.
 
         And the IoU under the first option of points that are stretched, so that their box is the
-        box of the mask.
+        box of the mask. A camera inside the cloud sees points everywhere, so an option loses that
+        share of its IoU by which it puts more points behind the camera than the first option.
         """
         x, y, inverted = self.project(points, options)
         visible, found = visible_in(self.view, x, y), np.zeros(len(options))
         for changed, cells in self.cells.items():
             rows = np.array(inverted) == changed
             found[rows] = cells.ious(x[rows], y[rows], visible[rows])
+        in_front = (~np.isnan(x)).mean(1)
+        found *= np.minimum(1.0, in_front / max(in_front[0], 1e-9))
         cells, shown = self.cells[inverted[0]], visible[:1]
         column, row = cells.stretched(x[:1], shown, 0), cells.stretched(y[:1], shown, 1)
         return found, float(cells.ious(column, row, shown)[0])

@@ -164,7 +164,7 @@ class Trust:
         if ASSUMED_CAMERA in notes and before < LEAST_IF_ASSUMED:
             return self._unsure(ASSUMED_CAMERA, notes[ASSUMED_CAMERA].says)
         if after < before and before >= FITS_ALREADY and self.confidence:
-            return self._unsure("misfit", REASONS["misfit"])
+            return self._unsure("misfit", "the cloud fitted its mask, and fits it less afterwards")
         if ASSUMED_CAMERA in notes and self.confidence:
             return replace(self, confidence=min(self.confidence, MOST_IF_CAMERA_COUNTS))
         return self
@@ -179,7 +179,7 @@ class Trust:
 
 def words_of(diagnosis: Diagnosis) -> str:
     """What looks wrong, in words."""
-    joined = " or ".join if len(diagnosis.suspicious[0].views) > 1 else "; ".join
+    joined = " or ".join if diagnosis.of_input else "; ".join
     return f"it looks as if {joined(finding.says for finding in diagnosis.suspicious)}"
 
 

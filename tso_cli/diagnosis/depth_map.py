@@ -98,8 +98,8 @@ class SeenSurface:
 
     @property
     def flat(self) -> bool:
-        relief = LEAST_RELIEF * self.size
-        return _spread(self.depth) < relief or _spread(self.values) == 0.0
+        """Whether the cloud is: then its depths say nothing of what the map holds."""
+        return _spread(self.depth) < LEAST_RELIEF * self.size
 
     def off(self, depth: Array, share: float = 0.5) -> Array:
         """[2], how far ``depth`` [B] is off the cloud, and how far without a common shift.
@@ -119,6 +119,8 @@ class SeenSurface:
         in_unit = any_size or not len(self.depth) or 1.0 / OTHER_UNIT < self.times < OTHER_UNIT
         few = len(self.depth) < FEWEST_BLOCKS
         if not few and not self.flat:
+            if _spread(self.values) == 0.0:
+                return "unrelated"
             if self.rank < (INVERSE if in_unit else -RELATED):
                 return "inverse"
             if self.rank < RELATED and not in_unit:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -23,7 +23,9 @@ from .hypotheses import (
     FOCAL_UNITS,
     HYPOTHESES,
     OF_AXES,
+    OF_WIDTH,
     UPRIGHT,
+    WIDEST,
     focal_in_pixels,
     of_width,
 )
@@ -141,8 +143,7 @@ class Table:
         If leaving an assumption out explains them, none is added.
         """
         before = float(self.ious[0, views].mean())
-        gain = margin / np.sqrt(min(len(views), MOST_INDEPENDENT))
-        if scores.max() < max(before + gain, Margin.LEAST_IOU):
+        if scores.max() < max(before + _margin_of(len(views), margin), Margin.LEAST_IOU):
             return []
         order = np.argsort(-scores, kind="stable")
         likely = [i for i in order if scores[i] >= scores.max() - Margin.SIMILAR]
@@ -151,6 +152,11 @@ class Table:
             self.candidates[i].found(views.tolist(), float(self.ious[i, views].mean()), before)
             for i in chosen[:MOST_ALTERNATIVES]
         ]
+
+
+def _margin_of(views: int, margin: float = Margin.FOUND) -> float:
+    """The margin by which ``views`` together must agree better."""
+    return margin / float(np.sqrt(min(views, MOST_INDEPENDENT)))
 
 
 def explain(
@@ -178,14 +184,19 @@ def explain(
     if pairs and len(pairs[0].views) >= OUTVOTED_SHARE * len(outlines):
         return Explanation(as_given, tuple(pairs))
     if not pairs and (found := table.likely(shown, scores)):
-        return Explanation(as_given, tuple(found))
+        return Explanation(as_given, tuple(_about_all(found, len(outlines))))
     of_views = pairs or _of_views(table, shown)
     weak: list[Finding] = []
-    if len(shown) == len(outlines) and not of_views:
+    if large.all() and not of_views:
         # Cells may take a turned object for a stretched one; short optimisations see more.
         scores = table.scores(shown, better_than_stretched=-BETTER_THAN_STRETCHED)
-        weak = table.likely(shown, scores, Margin.WEAK)
+        weak = _about_all(table.likely(shown, scores, Margin.WEAK), len(outlines))
     return Explanation(as_given, of_views=tuple(of_views), weak=tuple(weak))
+
+
+def _about_all(found: Sequence[Finding], views: int) -> list[Finding]:
+    """What explains the views whose masks show the shape is about the others too."""
+    return [replace(one, views=tuple(range(views))) for one in found]
 
 
 def _candidates(given: tuple[Assumption, ...], cameras: Sequence[Camera]) -> Iterator[Candidate]:
@@ -193,7 +204,8 @@ def _candidates(given: tuple[Assumption, ...], cameras: Sequence[Camera]) -> Ite
     for one in given:
         yield Candidate(tuple(other for other in given if other is not one), (one,), True)
     alone = [one for one in HYPOTHESES.values() if all(map(one.applies, cameras))]
-    alone += [of_width(*size) for size in _widths(cameras)]
+    if not any(one.hypothesis.name.startswith(OF_WIDTH) for one in given):
+        alone += [of_width(*size) for size in _widths(cameras)]
     two = list(product(OF_AXES, UPRIGHT))
     if not any(map(focal_in_pixels, cameras)):
         two += product(FOCAL_UNITS, OF_AXES)
@@ -218,7 +230,8 @@ def _widths(cameras: Sequence[Camera]) -> list[tuple[int, ...]]:
         width, height = (int(length) for length in np.rint(of_K))
         kept = abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1.0) < OTHER_WIDTH
         found[(width,) if kept else (width, height)] += 2
-    return [size for size, _ in found.most_common(MOST_WIDTHS)]
+    named = [size for size, _ in found.most_common() if 1 <= min(size) <= max(size) <= WIDEST]
+    return named[:MOST_WIDTHS]
 
 
 def _of_views(table: Table, shown: Indices) -> list[Finding]:
@@ -260,7 +273,7 @@ def _mispaired(
             cells = of_mask.cells.get(inverted)
             if cells and of_mask.view.mask.shape == of_camera.view.mask.shape:
                 ious[i, k] = cells.ious(x, y, visible_in(of_mask.view, x, y))[0]
-    if (ious.max(1) - ious.diagonal()).max() < Margin.FOUND:
+    if (ious.max(1) - ious.diagonal()).max() < _margin_of(len(shown)):
         return []
     # It takes as long to import as a tenth of a refinement.
     from scipy.optimize import linear_sum_assignment
@@ -272,7 +285,7 @@ def _mispaired(
     if not len(moved):
         return []
     before, score = float(ious.diagonal()[moved].mean()), float(paired[moved].mean())
-    enough = score >= max(before + Margin.FOUND, Margin.LEAST_IOU)
+    enough = score >= max(before + _margin_of(len(moved)), Margin.LEAST_IOU)
     if not enough or paired.mean() < otherwise + Margin.SIMILAR:
         return []
     pairs = tuple((int(shown[best[i]]), int(shown[i])) for i in moved)

@@ -14,15 +14,15 @@ from ..geometry.camera import Camera, from_shares
 
 CameraChange = Callable[[Camera], Camera]
 
-# In longer sides of the picture. A shorter focal length has a field of view of over 127 degrees,
-# more than the widest lens of a phone: it is not in pixels.
-SHORTEST_FOCAL = 1.0 / 4.0
+# In longer sides of the picture. A shorter focal length has a field of view of over 90 degrees,
+# which few cameras have: it may be in another unit.
+SHORTEST_FOCAL = 1.0 / 2.0
 # A start may be another shape, about twice or half as large as the object.
 SIZE_PRIOR = 0.14
 
 
 def focal_in_pixels(camera: Camera) -> bool:
-    """Whether the focal length may be in pixels (`SHORTEST_FOCAL`)."""
+    """Whether the focal length is likely to be in pixels (`SHORTEST_FOCAL`)."""
     longer = max(camera.width, camera.height)
     return camera.model != "perspective" or bool(camera.K[0, 0] >= SHORTEST_FOCAL * longer)
 
@@ -273,6 +273,7 @@ HYPOTHESES = {
 """By name; and there is `of_width` for each width of an image."""
 
 OF_WIDTH = "K-of-width"
+WIDEST = 999_999  # that a name may have
 
 
 def of_width(width: int, height: int | None = None) -> Hypothesis:

@@ -104,7 +104,7 @@ def why_apart(placement: Placement, view: View) -> str | None:
 
 def part_met(placement: Placement, view: View) -> Box | None:
     """The box of a connected part of the mask that the cloud meets well; None if there is none."""
-    if placement.points_box is None:
+    if placement.points_box is None or not placement.inside_image:
         return None
     from scipy.ndimage import label
 

@@ -167,7 +167,7 @@ def occluder(
         return None
     # A cloud that is too large goes on at all sides.
     aside = np.argwhere(part) - np.argwhere(inside).mean(0)
-    directions = aside / np.linalg.norm(aside, axis=1, keepdims=True)
+    directions = aside / np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-9)
     if np.linalg.norm(directions.mean(0)) < Occluder.ONE_SIDED:
         return None
     before, rest = (

@@ -54,6 +54,9 @@ def verify_hypotheses(
         # Views that are paired wrongly contradict the others, and may have hardly a weight.
         about = {mask for one in diagnosis.unverified for mask, _ in closed(one.pairs)}
         weights = [float(number in about) for number in range(len(read))]
+    # A bounding box shows nothing of the shape.
+    boxes = {view for one in diagnosis.of_views if one.name == "box" for view in one.views}
+    weights = [0.0 if number in boxes else weight for number, weight in enumerate(weights)]
     without_plane = problem.with_symmetry(SymmetryDecision("not_asked"))
     problems, compared = [problem.without_flipped()], []
     for one in diagnosis.unverified:

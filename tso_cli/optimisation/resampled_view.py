@@ -118,7 +118,7 @@ def resample_view(
     if not resampled.target.inside.any():
         raise InputError(
             f"{view.name}: no cell of its window of {cells}x{cells} is known to be foreground, "
-            "expected some; its ignore map leaves less than half of each"
+            "expected some; what is known covers less than half of each"
         )
     return resampled
 

@@ -189,8 +189,9 @@ def _ending(
         trust = Trust.of(features, diagnosis, explained)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
     before, after = np.mean(of_shape, 0)
-    # A depth map or a photo may ask for a shape that agrees less with the mask.
-    after = after if problem.masks_alone else max(before, after)
+    if any(view.image is not None for view in problem.views):
+        # A photo moves points along a surface that fits its mask.
+        after = max(before, after)
     trust = trust.limited(diagnosis, before, after)
     if not (trust.moves or settings.accept_doubtful):
         return _refused(problem.cloud.moved(np.zeros_like(displacements)), ious, trust)
