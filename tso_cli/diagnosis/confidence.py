@@ -151,10 +151,13 @@ class Trust:
             return cls("doubtful", None, FINDING, words_of(diagnosis), False)
         return cls(None, None, reason, says)
 
-    def limited(self, diagnosis: Diagnosis, before: float, after: float) -> Trust:
+    def limited(
+        self, diagnosis: Diagnosis, before: float, after: float, given: float | None = None
+    ) -> Trust:
         """The same, with less confidence if a pose is unsure, or the IoU is low or fell.
 
-        ``before`` and ``after`` are the mean IoU of the views.
+        ``before`` and ``after`` are the mean IoU of the views, before and after the shape was
+        refined. ``given`` is that of the cloud as it was given, if it moved as one before.
         """
         notes = {one.name: one for one in diagnosis.notes}
         if unsure := next((notes[name] for name in UNSURE if name in notes), None):
@@ -163,7 +166,8 @@ class Trust:
             return self._unsure("overlap", f"cloud and mask hardly overlap (IoU {least:.2f})")
         if ASSUMED_CAMERA in notes and before < LEAST_IF_ASSUMED:
             return self._unsure(ASSUMED_CAMERA, notes[ASSUMED_CAMERA].says)
-        if after < before and before >= FITS_ALREADY and self.confidence:
+        given = before if given is None else given
+        if after < given and given >= FITS_ALREADY and self.confidence:
             return self._unsure("misfit", "the cloud fitted its mask, and fits it less afterwards")
         if ASSUMED_CAMERA in notes and self.confidence:
             return replace(self, confidence=min(self.confidence, MOST_IF_CAMERA_COUNTS))

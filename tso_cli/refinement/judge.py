@@ -189,10 +189,11 @@ def _ending(
         trust = Trust.of(features, diagnosis, explained)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
     before, after = np.mean(of_shape, 0)
+    given_iou = float(np.mean([first for first, _ in ious]))
     if any(view.image is not None for view in problem.views):
         # A photo moves points along a surface that fits its mask.
-        after = max(before, after)
-    trust = trust.limited(diagnosis, before, after)
+        given_iou = min(given_iou, after)
+    trust = trust.limited(diagnosis, before, after, given_iou)
     if not (trust.moves or settings.accept_doubtful):
         return _refused(problem.cloud.moved(np.zeros_like(displacements)), ious, trust)
     return _Ending(moved, ious, trust, "moved")
