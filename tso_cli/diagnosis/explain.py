@@ -25,8 +25,8 @@ from .hypotheses import (
     OF_AXES,
     OF_WIDTH,
     UPRIGHT,
-    WIDEST,
     focal_in_pixels,
+    hypothesis_called,
     of_width,
 )
 
@@ -230,7 +230,8 @@ def _widths(cameras: Sequence[Camera]) -> list[tuple[int, ...]]:
         width, height = (int(length) for length in np.rint(of_K))
         kept = abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1.0) < OTHER_WIDTH
         found[(width,) if kept else (width, height)] += 2
-    named = [size for size, _ in found.most_common() if 1 <= min(size) <= max(size) <= WIDEST]
+    # A width of 0 has no name, and neither has one of seven digits.
+    named = [size for size, _ in found.most_common() if hypothesis_called(of_width(*size).name)]
     return named[:MOST_WIDTHS]
 
 

@@ -273,7 +273,6 @@ HYPOTHESES = {
 """By name; and there is `of_width` for each width of an image."""
 
 OF_WIDTH = "K-of-width"
-WIDEST = 999_999  # that a name may have
 
 
 def of_width(width: int, height: int | None = None) -> Hypothesis:

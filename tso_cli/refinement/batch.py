@@ -268,8 +268,9 @@ def _refined(job: _Job) -> tuple[RefineResult, list[Warning]]:
             points, masks = _points_and_views(job.scene, number)
             clock = Clock()
             with clock.phase("prepare"):
-                of_masks = as_views(masks), (), assumed_cameras(masks, None)
-                scene = as_scene(points, *of_masks, name=f"points of scene {number}")
+                known = assumed_cameras(masks, None)
+                name = f"points of scene {number}"
+                scene = as_scene(points, as_views(masks), known=known, name=name)
             result = run(scene, job.config.settings(len(scene.read)), clock)
         except KeyboardInterrupt:
             raise _not_begun(number) from None
