@@ -66,7 +66,9 @@ def test_the_visible_side_of_a_cloud_on_the_surface_misses_nothing_and_of_a_shif
 def test_the_gradient_of_the_depth_misfit_is_half_its_slope():
     surface = Surface.of(Target.of(_ball(), 64))
     misfit = DepthMisfit(BALL, [surface], 3.0)
-    at = Placements.unmoved().stepped(np.array([[0.1, -0.2, 0.05, 0.02, -0.03, 0.05, 0.05, 0.0]]))
+    step = np.zeros((1, UNKNOWNS))
+    step[:, :7] = [0.1, -0.2, 0.05, 0.02, -0.03, 0.05, 0.05]
+    at = Placements.unmoved().stepped(step)
     gradient = misfit(at).gradient[0]
     for column, step in enumerate(1e-7 * np.eye(UNKNOWNS)):
         after, before = (misfit(at.stepped(s[None])).value[0] for s in (step, -step))

@@ -19,11 +19,16 @@ PLANE = example("airplane")
 CANONICAL = Camera.canonical(64, 64)
 FLAT = replace(CANONICAL, K=intrinsics(30.0, 64, 64), model="orthographic")
 MODELS = pytest.mark.parametrize("camera", [CANONICAL, FLAT], ids=["perspective", "orthographic"])
-SOME = Placements(
-    from_vectors(np.array([[0.1, -0.2, 0.3], [0.4, 0.1, -0.2]])),
-    np.array([[0.02, -0.01, 0.1], [-0.05, 0.03, 0.0]]),
-    np.array([1.1, 0.9]),
-    np.array([1.05, 0.98]),
+SOME = replace(
+    Placements.at(
+        from_vectors(np.array([[0.1, -0.2, 0.3], [0.4, 0.1, -0.2]])),
+        np.array([[0.02, -0.01, 0.1], [-0.05, 0.03, 0.0]]),
+        np.array([1.1, 0.9]),
+    ),
+    focal=np.array([1.05, 0.98]),
+    aspect=np.array([0.9, 1.02]),
+    centre=np.array([[0.01, -0.02], [-0.03, 0.0]]),
+    growth=np.array([0.5, -0.4]),
 )
 
 
@@ -77,10 +82,11 @@ def test_a_point_at_the_camera_is_projected_from_the_nearest_depth():
 def test_the_gradient_of_the_posterior_is_half_its_slope():
     points = _normalised(PLANE.target)[:200]
     target = Target.of(seen(points, CANONICAL), 64)
-    deviation = np.array([0.2] * 3 + [0.1] * 3 + [0.1, 0.3])
+    deviation = np.array([0.2] * 3 + [0.1] * 3 + [0.1, 0.3] + [0.2] * (UNKNOWNS - 8))
     freedom = replace(Freedom.of(SOME[:1], TURN), deviation=deviation)
     posterior = freedom.posterior(NearestMisfit(points, [target]))
-    at = SOME[:1].stepped(np.array([[0.1, 0.05, -0.1, 0.05, 0.02, 0.1, 0.1, 0.2]]))
+    step = [0.1, 0.05, -0.1, 0.05, 0.02, 0.1, 0.1, 0.2, *[0.0] * 5, 0.1, 0.02, -0.02, 0.3]
+    at = SOME[:1].stepped(np.array([step]))
     gradient = posterior(at).gradient[0]
     for column, step in enumerate(1e-6 * np.eye(UNKNOWNS)):
         after, before = (posterior(at.stepped(s[None])).value[0] for s in (step, -step))
@@ -102,7 +108,7 @@ def test_the_edge_of_what_is_known_is_no_contour():
 
 
 def test_a_placement_counted_from_another_is_the_step_between_them():
-    step = np.array([[0.2, -0.1, 0.3, 0.1, 0.2, -0.3, 0.1, -0.2]])
+    step = np.random.default_rng(0).uniform(-0.3, 0.3, (1, UNKNOWNS))
     given = SOME[:1]
     np.testing.assert_allclose(given.stepped(step).since(given), step, atol=1e-12)
 
@@ -110,14 +116,13 @@ def test_a_placement_counted_from_another_is_the_step_between_them():
 def test_a_cloud_of_the_right_shape_is_brought_back_exactly_and_none_gets_worse():
     comparison = Comparison.of(PLANE.target, [PLANE.view])
     starts = SOME.stepped(np.zeros((2, UNKNOWNS)))
-    starts = replace(starts, focal=np.ones(2), size=np.ones(2))
+    starts = Placements.at(starts.R, starts.t, np.ones(2))
     freedom = Freedom.of(starts[:1], TURN, SHIFT)
     before = freedom.posterior(comparison.cells)(starts).value
     _, after = improve(starts, comparison.cells, freedom, 12)
     assert (after <= before).all()
-    start = Placements(
-        from_vectors(np.radians([[5.0, -4.0, 3.0]])), starts.t[:1], *2 * [np.ones(1)]
-    )
+    turned = from_vectors(np.radians([[5.0, -4.0, 3.0]]))
+    start = Placements.at(turned, starts.t[:1], np.ones(1))
     found = search_from(comparison, Freedom.of(start, TURN, SHIFT))
     assert found.given > 0.5
     assert found.explains
@@ -139,7 +144,7 @@ def test_a_wrong_shape_stays_nearer_to_where_it_was_given_than_without_a_prior()
     camera = replace(view.camera, R=about("y", 20.0) @ view.camera.R)
     comparison = Comparison.of(wrong, [replace(view, camera=camera)])
     free = Freedom.of(Placements.unmoved(), TURN, SHIFT)
-    held = replace(free, deviation=np.array([0.1] * 3 + [0.05] * 3 + [np.inf] * 2))
+    held = replace(free, deviation=np.array([0.1] * 3 + [0.05] * 3 + [np.inf] * (UNKNOWNS - 6)))
     lengths = []
     for freedom in (free, held):
         moved, _ = improve(Placements.unmoved(), comparison.cells, freedom, 15)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from tests.scenes import EXAMPLES, about, example, seen
 from tso_cli import Camera, RefineConfig, View, refine
@@ -12,9 +13,10 @@ from tso_cli.cloud.cloud import Cloud
 from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.camera import intrinsics
+from tso_cli.geometry.points import sample_surface
 from tso_cli.geometry.rotations import angle_between, from_vectors
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.io.meshes import read_mesh
+from tso_cli.io.meshes import Mesh, read_mesh
 from tso_cli.pose.placing import find_move
 from tso_cli.render import RayScene, RenderSettings, look_at, render_view
 from tso_cli.render.folder import ground_truth, normalise
@@ -306,3 +308,30 @@ def test_a_camera_moves_by_either_name(refine, folder):
         assert run.document["moved_cameras"][0]["turned_degrees"] == pytest.approx(5.8, abs=1.0)
     both = "--refine-camera", "--move", "pose", "-o", "both.ply"
     assert "expected one of the two" in refine("turned.ply", "mask.png", *both).refusal
+
+
+def _pliers():
+    """The mesh of flat pliers made of boxes."""
+    parts = []
+    # Length, width, middle x and y, degrees of the long side.
+    boxes = [(0.55, 0.07, 0.2, 0.05, 12), (0.55, 0.07, 0.2, -0.05, -12), (0.12, 0.12, 0, 0, 0)]
+    boxes += [(0.3, 0.06, -0.22, 0.02, -6), (0.3, 0.06, -0.22, -0.02, 6)]
+    for length, width, x, y, degrees in boxes:
+        box = trimesh.creation.box((length, width, 0.05))
+        parts.append((box.vertices @ about("z", degrees).T + [x, y, 0.0], box.faces))
+    faces = np.concatenate([faces + 8 * number for number, (_, faces) in enumerate(parts)])
+    return Mesh(np.concatenate([vertices for vertices, _ in parts]), faces)
+
+
+@pytest.mark.parametrize(("pitch", "yaw", "roll"), [(35.0, 50.0, 60.0), (50.0, 25.0, 0.0)])
+def test_a_thin_cloud_that_is_stretched_is_not_turned_by_default(pitch, yaw, roll):
+    mesh, rng = _pliers(), np.random.default_rng(0)
+    R = np.diag([1.0, -1.0, -1.0]) @ about("x", pitch) @ about("y", yaw) @ about("z", roll)
+    camera = Camera(intrinsics(900.0, 640, 480), R, np.array([0.0, 0.0, 900.0 / 160]), 640, 480)
+    mask = render_view(RayScene(mesh), camera, rng).mask > 127
+    truth = sample_surface(mesh.vertices, mesh.faces, 4096, rng)
+    middle, shear = truth.mean(0), np.array([[1.15, 0.1, 0], [0, 0.85, 0.1], [0, 0, 1.1]])
+    wrong = (truth[::2] - middle) @ shear.T + middle
+    assert _move(wrong, View(np.float32(mask), camera)).kind == "nothing"
+    result = refine(wrong, np.float32(mask), camera)
+    assert chamfer(result.points, truth).chamfer < 0.6 * chamfer(wrong, truth).chamfer

@@ -35,8 +35,8 @@ class System:
     """A sum of squares at P placements, and its linear model."""
 
     value: Array  # [P]
-    normal: Array  # [P, 8, 8]
-    gradient: Array  # [P, 8], downhill
+    normal: Array  # [P, 17, 17]
+    gradient: Array  # [P, 17], downhill
 
     @classmethod
     def empty(cls, count: int) -> System:
@@ -67,8 +67,8 @@ Misfit = Callable[[Placements], System]
 class Freedom:
     """What may change, and how far it is from what is given.
 
-    basis : [8, k], its columns are the combinations of unknowns that may change.
-    given : the placement that was given. deviation : [8], standard deviations of its error;
+    basis : [17, k], its columns are the combinations of unknowns that may change.
+    given : the placement that was given. deviation : [17], standard deviations of its error;
         infinite for unknowns that nothing is known about.
     """
 
@@ -77,11 +77,14 @@ class Freedom:
     deviation: Array
 
     @classmethod
-    def of(cls, given: Placements, *unknowns: slice | int) -> Freedom:
-        """Each of the ``unknowns`` is free by itself, and nothing is known of it."""
+    def of(
+        cls, given: Placements, *unknowns: slice | int, deviation: Array | None = None
+    ) -> Freedom:
+        """Each of the ``unknowns`` is free by itself; without ``deviation`` nothing is known."""
         unit = np.eye(UNKNOWNS)
         columns = [unit[:, [one] if isinstance(one, int) else one] for one in unknowns]
-        return cls(np.concatenate(columns, 1), given, np.full(UNKNOWNS, np.inf))
+        deviation = np.full(UNKNOWNS, np.inf) if deviation is None else deviation
+        return cls(np.concatenate(columns, 1), given, deviation)
 
     def posterior(self, misfit: Misfit) -> Misfit:
         """Minus twice the logarithm of the posterior density, if ``misfit`` is a mean of squares.
@@ -137,7 +140,7 @@ def improve(
 
 
 def _step(placements: Placements, system: System, damping: Array, basis: Array) -> Array:
-    """A damped Gauss-Newton step [P, 8], as long as the linear model holds."""
+    """A damped Gauss-Newton step [P, 17], as long as the linear model holds."""
     normal = basis.T @ system.normal @ basis
     diagonal = np.einsum("pii->pi", normal)
     least = Damping.ABSOLUTE * diagonal.max(1, keepdims=True) + np.finfo(float).tiny

@@ -14,7 +14,7 @@ import numpy as np
 from ..geometry.arrays import Array, Indices
 from ..geometry.points import scattered
 from .levenberg import System
-from .placement import UNKNOWNS, Placements
+from .placement import GROWTH, UNKNOWNS, Placements
 from .target import Target
 
 # Distances under half a cell are inside a cell and count as 0.
@@ -91,7 +91,7 @@ def _blurred(mask: Array, deviation: float) -> Array:
 def share_missed(placement: Indices, gap: Array, J: Array, count: int, pieces: int) -> System:
     """The sum over ``pieces``. A gap ``g`` counts as g^2 / (1 + g^2), a piece without one as 1.
 
-    gap : [G]. placement : [G], ascending, of each gap. J : [G, 8], derivative of what closes it.
+    gap : [G]. placement : [G], ascending, of each gap. J : [G, 17], derivative of what closes it.
     """
     system = System.empty(count)
     inlier = 1.0 / (1.0 + np.square(gap))
@@ -175,10 +175,12 @@ class ContourMisfit:
         """The mean over all pieces of all views."""
         system = System.empty(len(placements))
         for contour in self.contours:
-            seen = contour.target.project(self.points, placements)
+            seen, pixel = contour.target.project(self.points, placements), contour.target.pixel
             row, point, sample, gap = self._gaps(contour, seen.px)
-            gap /= self.robust
-            J = seen.jacobian(row, point, contour.normals[sample]) / self.robust
+            gap = (gap - pixel * placements.growth[row]) / self.robust
+            J = seen.jacobian(row, point, contour.normals[sample])
+            J[:, GROWTH] = pixel
+            J /= self.robust
             system = system + share_missed(row, gap, J, len(placements), contour.pieces)
         return 1.0 / sum(contour.pieces for contour in self.contours) * system
 

@@ -15,7 +15,7 @@ from .asked import Asked, Keep, Moved
 from .everywhere import same_by_symmetry, search_everywhere, spacing, spread_points
 from .levenberg import Freedom
 from .move import MOST_DEGREES, Body, Move, unmoved
-from .placement import SHIFT, SIZE, TURN, UNKNOWNS, Placements
+from .placement import SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements
 from .search import (
     EXPLAINED,
     PROMISING_UNASKED,
@@ -31,10 +31,11 @@ from .starts import closed_iou, size_of_object
 # The default does not move a cloud by more of the standard deviations below.
 MOST_DEVIATIONS = 2.5
 # Standard deviations of the error of a given placement: radians, longest sides of the cloud, and
-# the logarithm of its size.
+# the logarithms of its size and of its proportions.
 GIVEN_ERROR = np.array(
-    [np.radians(MOST_DEGREES / MOST_DEVIATIONS)] * 3 + [0.12] * 3 + [0.12, np.inf]
+    [np.radians(MOST_DEGREES / MOST_DEVIATIONS)] * 3 + [0.12] * 4 + [np.inf] * (UNKNOWNS - 7)
 )
+GIVEN_ERROR[STRETCH] = 0.12
 # Views that a place is searched with, at most; more hardly make it more exact.
 MOST_VIEWS = 12
 # A cloud whose silhouette overlaps with the masks by less is searched in all directions.
@@ -52,10 +53,11 @@ def find_move(
 ) -> Move:
     """What moves, of what was ``asked`` for.
 
-    "auto" : the rung of the ladder shift, pose, similarity that explains the misfit with the fewest
-    unknowns; nothing if none does, if the cloud fits where it is, if a picture cuts off the object,
-    so that its contour does not show where it is, or if there is a photo, which may contradict the
-    contours. "camera" : each camera by itself. Else the cloud stands where the masks would have it,
+    "auto" : a shift or a pose, whichever explains the misfit with the fewest unknowns; nothing if
+    none does, if a stretch explains it about as well, if the cloud fits where it is, if a picture
+    cuts off the object, so that its contour does not show where it is, or if there is a photo,
+    which may contradict the contours. "camera" : each camera by itself. Else the cloud stands where
+    the masks would have it,
     near where it was given, or anywhere if it does not fit there.
     """
     if asked == "shape":
@@ -147,13 +149,12 @@ class _Placing:
             return unmoved(self.views, "a photo may contradict the contours")
         if self.comparison.fits(Placements.unmoved()):
             return unmoved(self.views, "the cloud fits the contours where it is")
+        # A size that fits says as much of the focal length, so it is not the default's to change.
         # Of size and distance, the distance stays: it is longer than the object, so that a wrong
         # distance is a larger error than a wrong size.
-        rungs: list[tuple[Moved, Keep]] = [("similarity", keep), ("pose", keep), ("shift", keep)]
-        if not self.both_found and keep == "size":
-            rungs = rungs[1:]
-        elif not self.both_found:
-            rungs = [(kind, "distance") for kind, _ in rungs]
+        if not self.both_found and keep == "auto":
+            keep = "distance"
+        rungs: list[tuple[Moved, Keep]] = [("pose", keep), ("shift", keep)]
         # From many unknowns to few: a cloud that no move explains costs one search.
         moves: list[Move] = []
         for kind, kept_here in rungs:
@@ -164,7 +165,18 @@ class _Placing:
                 return unmoved(self.views, why, found.given)
             moves.append(self.move(kind, found, kept))
         enough = moves[0].missed + BRINGS_LITTLE
-        return next(move for move in reversed(moves) if move.missed <= enough)
+        move = next(move for move in reversed(moves) if move.missed <= enough)
+        stretched = search_from(self.comparison, self.stretch, PROMISING_UNASKED)
+        # A stretch has more unknowns. A thin cloud that is turned looks like one that is stretched.
+        if move.missed > stretched.missed:
+            why = "a cloud of other proportions explains about as much of the contours"
+            return unmoved(self.views, why, move.missed_before)
+        return move
+
+    @property
+    def stretch(self) -> Freedom:
+        """The cloud may stretch along any axes, and shift."""
+        return Freedom.of(Placements.unmoved(), STRETCH, SIZE, SHIFT, deviation=GIVEN_ERROR)
 
     def is_plausible(self, found: Found) -> bool:
         """Whether the default may believe in what a search found."""

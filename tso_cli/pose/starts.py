@@ -97,7 +97,7 @@ def _before_cameras(R: Array, targets: Sequence[Target], freedom: Freedom) -> Pl
     t = _meeting_point(targets)
     size = size_of_object(targets, t) if freedom.basis[SIZE].any() else 1.0
     count = len(R)
-    return Placements(R, np.tile(t, (count, 1)), np.full(count, size), np.ones(count))
+    return Placements.at(R, np.tile(t, (count, 1)), np.full(count, size))
 
 
 def _with_boxes(
@@ -133,7 +133,7 @@ def _with_boxes(
 
 
 def _growth(centre: Projected, target: Target, count: int) -> Array:
-    """[P, 8] derivative of the logarithm of the cloud's size in the picture."""
+    """[P, 17] derivative of the logarithm of the cloud's size in the picture."""
     growth = np.zeros((count, UNKNOWNS))
     growth[:, SIZE] = 1.0
     if target.camera.model == "perspective":

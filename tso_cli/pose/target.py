@@ -11,7 +11,17 @@ from ..geometry.arrays import Array, Bits, Box, Indices
 from ..geometry.camera import Camera
 from ..geometry.resampling import area_resize, nearest_resize
 from ..geometry.view import View
-from .placement import FOCAL, SHIFT, SIZE, UNKNOWNS, Placements
+from .placement import (
+    ASPECT,
+    FOCAL,
+    PRINCIPAL,
+    SHIFT,
+    SIZE,
+    STRAINS,
+    STRETCH,
+    UNKNOWNS,
+    Placements,
+)
 
 # Side of the square in longer sides of the mask's box, so that a cloud next to the mask is seen.
 MARGIN = 1.3
@@ -39,41 +49,45 @@ class Projected:
     turned: Array  # [P, N, 3] the placed cloud about its centre
     camera: Camera
     focal: Array  # [P]
+    aspect: Array  # [P]
+    picture: float  # longer side of the picture, cells
 
     def jacobian(self, rows: Indices, points: Indices, normals: Array | None = None) -> Array:
-        """Derivative of pixels of some points by the eight unknowns.
+        """Derivative of pixels of some points by the unknowns.
 
         ``rows`` and ``points``, of one shape [...], name placement and point. The result is
-        [..., 2, 8], or [..., 8] of the movement along ``normals`` [..., 2].
+        [..., 2, 17], or [..., 17] of the movement along ``normals`` [..., 2].
         """
         inverse = self.inverse[rows, points]
         offset, arm = self.offset[rows, points], self.turned[rows, points]
         by_camera = np.zeros((*inverse.shape, 2, 3))
         by_camera[..., :2] = self.camera.K[:2, :2] * (self.focal[rows] * inverse)[..., None, None]
+        by_camera[..., 1, :2] *= self.aspect[rows][..., None]
         if self.camera.model == "perspective":
             # A point at the nearest depth is projected from there, however near it is.
             beyond = self.depth[rows, points] * inverse > 1.0 - 1e-12
             by_camera[..., 2] = -offset * (inverse * beyond)[..., None]
-        along = offset
+        along, vertical, picture = offset, offset * (0.0, 1.0), self.picture * np.eye(2)
         if normals is not None:
             by_camera = (normals[..., None, :] @ by_camera)[..., 0, :]
-            along = (normals * offset).sum(-1)
+            along, vertical = (normals * offset).sum(-1), (normals * vertical).sum(-1)
+            picture = self.picture * normals
         by_point = by_camera @ self.camera.R
         if normals is None:
             arm = arm[..., None, :]
         J = _by_unknowns(by_point, arm)
-        J[..., FOCAL] = along
+        J[..., FOCAL], J[..., ASPECT], J[..., PRINCIPAL] = along, vertical, picture
         return J
 
     def depth_jacobian(self, rows: Indices, points: Indices) -> Array:
-        """Derivative [..., 8] of depths of some points by the eight unknowns, as `jacobian`."""
+        """Derivative [..., 17] of depths of some points by the unknowns, as `jacobian`."""
         arm = self.turned[rows, points]
         return _by_unknowns(np.broadcast_to(self.camera.R[2], arm.shape), arm)
 
 
 def _by_unknowns(by_point: Array, arm: Array) -> Array:
-    """Derivative [..., 8] of what changes by ``by_point`` [..., 3] for each unit of a point at
-    ``arm`` [..., 3] from the cloud's centre; 0 for the focal length.
+    """Derivative [..., 17] of what changes by ``by_point`` [..., 3] for each unit of a point at
+    ``arm`` [..., 3] from the cloud's centre; 0 for what is not of the cloud.
     """
     J = np.zeros((*by_point.shape[:-1], UNKNOWNS))
     # A small turn w moves a point at y from the centre by w x y.
@@ -81,6 +95,7 @@ def _by_unknowns(by_point: Array, arm: Array) -> Array:
     J[..., 0], J[..., 1], J[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
     J[..., SHIFT] = by_point
     J[..., SIZE] = (by_point * arm).sum(-1)
+    J[..., STRETCH] = np.einsum("...i,kij,...j->...k", by_point, STRAINS, arm)
     return J
 
 
@@ -93,6 +108,7 @@ class Target:
     camera: Camera
     truncated: bool  # the picture cuts off the object, so points outside the picture are no error
     pixel: float  # side of a pixel of the mask, cells
+    picture: float = 1.0  # longer side of the picture, cells
     depth: Array | None = None  # [S, S] NaN where it is unknown
 
     @classmethod
@@ -102,7 +118,8 @@ class Target:
         mask, known = area_resize(view.mask, box, side, side, weights=view.known)
         camera = view.camera.cropped(box, side, side)
         pixel = side / (box[2] - box[0])
-        target = cls(mask * (known > 0.0), known > 0.5, camera, view.truncated, pixel)
+        picture = pixel * max(view.mask.shape)
+        target = cls(mask * (known > 0.0), known > 0.5, camera, view.truncated, pixel, picture)
         if view.depth is None:
             return target
         depth = nearest_resize(view.depth, box, side)
@@ -145,8 +162,19 @@ class Target:
         depth = in_camera[..., 2]
         plane = in_camera[..., :2] * inverse[..., None] * placements.focal[:, None, None]
         offset = plane @ self.camera.K[:2, :2].T
-        px = offset + self.camera.K[:2, 2]
-        return Projected(px, offset, depth, inverse, turned, self.camera, placements.focal)
+        offset[..., 1] *= placements.aspect[:, None]
+        middle = self.camera.K[:2, 2] + self.picture * placements.centre
+        return Projected(
+            offset + middle[:, None],
+            offset,
+            depth,
+            inverse,
+            turned,
+            self.camera,
+            placements.focal,
+            placements.aspect,
+            self.picture,
+        )
 
     def at(self, px: Array) -> tuple[Indices, Indices, Bits]:
         """Row and column of the cells of ``px`` [..., 2], clipped, and which px are within."""
