@@ -136,7 +136,7 @@ def test_a_table_in_a_file_of_options_is_refused_as_one(tso, folder, text):
 
 
 def test_one_mask_needs_no_list_in_a_file_of_options(tso, folder):
-    Path("o.toml").write_text('cloud = "initial.ply"\nmask = "mask.png"\nbudget = 5\n')
+    Path("o.toml").write_text('cloud = "initial.ply"\nmask = "mask.png"\nsteps = 5\n')
     assert tso("refine", "--config", "o.toml", "--check", "-q").code == 0
 
 

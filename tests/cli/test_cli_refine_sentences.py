@@ -244,7 +244,6 @@ def kept(result: RefineResult, stop_reason: str, outcome: str = "unchanged") -> 
         ("max_steps", "no steps of the shape were asked for"),
         ("interrupted", "interrupted at step 6, before one lowered the loss"),
         ("non_finite", "the loss was not a number after step 6, and no loss before was lower"),
-        ("out_of_time", "the budget's seconds were over after 6 steps, before one agreed better"),
         ("nothing_to_do", "the cloud already agrees with all that the mask shows"),
         ("not_improved", "none of 6 steps agrees better with what the mask shows than the start"),
     ],
@@ -272,16 +271,6 @@ def test_a_refused_displacement_can_be_accepted(moved):
             {"stop_reason": "interrupted"},
             Trust("improved", 0.9),
             "interrupted at step 6 of 6: the result is the best so far",
-        ),
-        (
-            {"stop_reason": "out_of_time"},
-            Trust("improved", 0.9),
-            "the budget ended after 6 of 6 steps",
-        ),
-        (
-            {"stop_reason": "out_of_time"},
-            Trust(None, None, "time", "1 s were too few"),
-            "the budget ended after 6 of 6 steps: there is no confidence in the result",
         ),
         (
             {"stop_reason": "non_finite"},

@@ -191,28 +191,20 @@ def test_the_help_is_one_screen_and_names_a_longer_one(refine, tso):
     brief, whole = (tso("refine", option).out for option in ("--help", "--help-all"))
     assert len(brief.splitlines()) <= 48
     assert "--help-all" in brief
-    assert "--budget" in brief
+    assert "--preset" in brief
     assert "--learning-rate" not in brief
     assert "--learning-rate" in whole
     assert "Camera:" in whole
 
 
-def test_a_budget_says_what_was_decided_and_why(folder, refine):
-    document = refine("initial.ply", "mask.png", "--json", "--budget", "0.000001").document
-    assert document["stop_reason"] == "out_of_time"
-    assert document["budget"]["given"] == 1e-6
-    decisions = {decision["what"]: decision for decision in document["budget"]["decisions"]}
-    assert decisions["steps"]["reason"] == "1e-06 s were over"
+def test_a_refinement_says_what_was_decided_and_why(folder, refine):
+    options = "--steps", "6", "--points", "512"
+    document = refine("initial.ply", "mask.png", "--json", *options).document
+    decisions = {decision["what"]: decision for decision in document["decisions"]}
+    assert decisions["steps"]["reason"] == "as asked for"
     assert decisions["points"]["choice"] == "512 of 1024"
-    run = refine("initial.ply", "mask.png", "-v", "--steps", "6")
-    assert "  spent  steps: 6 (" in run.out
-
-
-@pytest.mark.parametrize("budget", ["soon", "full", "-1", "nan"])
-def test_a_budget_that_is_no_time_is_refused(folder, refine, budget):
-    refusal = refine("initial.ply", "mask.png", "--budget", budget).refusal
-    assert f"budget is '{budget}'" in refusal or f"budget is {budget}" in refusal
-    assert "expected auto or seconds" in refusal
+    run = refine("initial.ply", "mask.png", "-v", *options)
+    assert "  spent  steps: 6 (as asked for)" in run.out
 
 
 def test_points_are_a_number_or_auto(folder, refine):

@@ -62,6 +62,5 @@ def test_sweeps_of_the_input_go_through_the_default():
     counts = [f"{DEFAULT}, {count} points" for count in ("256", "4,096", "16,384")]
     assert found["points"] == [counts[0], DEFAULT, *counts[1:]]
     assert found["masks"] == [DEFAULT, f"{DEFAULT}, 2 masks", f"{DEFAULT}, 4 masks"]
-    assert found["budget"][-1] == DEFAULT
     assert found[DEFAULT][0] == f"{DEFAULT}, 5 steps"
     assert found["alpha points"] == ["alpha points"]

@@ -1,8 +1,5 @@
 """Where the optimisation begins: the start, moved by the learned prior where the masks agree."""
 
-import math
-import time
-
 import numpy as np
 import pytest
 
@@ -19,7 +16,7 @@ CAMERA = look_at(0.0, 0.0, 2.2, (64, 64))
 def begin(chair):
     """Begin from the chair, whose mask shows it ``apart`` to the right of where it is."""
 
-    def run(prior, apart=0.1, weights=(1.0,), until=math.inf):
+    def run(prior, apart=0.1, weights=(1.0,)):
         right = CAMERA.R[0] * apart
         views = [
             seen(chair.points + right, CAMERA),
@@ -27,7 +24,7 @@ def begin(chair):
         ]
         problem = problem_of(chair.points, *views[: len(weights)])
         start = problem.cloud.start
-        found = beginning(problem, weights, SmoothField(start), prior, until)
+        found = beginning(problem, weights, SmoothField(start), prior)
         return found, (found.points - start) @ CAMERA.R.T
 
     return run
@@ -80,12 +77,6 @@ def test_a_view_without_weight_is_not_asked(begin):
     _, moved = begin(pushing(0.05, 0.0, 0.0), weights=(1.0, 0.0))
     np.testing.assert_allclose(moved[:, 2], 0.0, atol=1e-9)
     np.testing.assert_allclose(moved[:, 0], 0.1, atol=1e-3)
-
-
-def test_a_prior_without_time_moves_nothing(begin):
-    found, moved = begin(pushing(0.05, 0.0, 0.0), until=time.perf_counter())
-    assert not moved.any()
-    assert found.rightness == 0.0
 
 
 def test_an_answer_that_is_not_finite_moves_nothing(begin):

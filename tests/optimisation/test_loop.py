@@ -99,14 +99,6 @@ def test_best_iterate_its_step_and_its_loss_agree_wherever_an_interrupt_falls():
     assert set(best_steps) == {0, 1, 3}
 
 
-def test_the_loop_ends_when_its_time_is_over_but_not_before_one_step():
-    optimised = minimise(Iterates(1.0, 0.5, 0.4), _square, 2, until=0.0)
-    assert optimised.out_of_time
-    assert optimised.steps == 1
-    # The last step needs no time limit.
-    assert not minimise(Iterates(1.0, 0.5), _square, 1, until=0.0).out_of_time
-
-
 def test_the_loop_ends_where_no_loss_is_left():
     optimised = minimise(Iterates(1.0, 0.0, 0.4), _square, 2)
     assert optimised.losses == [_square(START)[0], 0.0]

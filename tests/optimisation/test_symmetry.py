@@ -1,6 +1,5 @@
 """Mirror planes: the search, the symmetry check by the views, and flipped views."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -99,12 +98,12 @@ def _boxes(*sides: float) -> np.ndarray:
     return np.concatenate([slab, *(post + [side, 0.0, 0.0] for side in sides)])
 
 
-def _verified(start: np.ndarray, views: list[View], until: float = np.inf):
+def _verified(start: np.ndarray, views: list[View]):
     """The problem of a cloud with a mirror plane, after the views were asked."""
     problem = problem_of(start, *views, symmetry="auto")
     assert problem.symmetry.outcome == "used"
     assert len(problem.flipped) == len(views)
-    return verify_plane(problem, [1.0] * len(views), SmoothField(problem.cloud.start), until)
+    return verify_plane(problem, [1.0] * len(views), SmoothField(problem.cloud.start))
 
 
 def test_the_views_keep_the_mirror_plane_of_a_symmetric_object():
@@ -126,16 +125,6 @@ def test_the_views_contradict_the_plane_of_an_object_that_lost_one_side(form, vi
     assert problem.symmetry.coefficients is None
     assert problem.symmetry.check.loss_ratio > problem.symmetry.check.limit == limit
     assert f"over {limit}" in problem.symmetry.reason
-    assert problem.flipped == ()
-
-
-@pytest.mark.parametrize("seconds", [0.0, 1e-3])
-def test_without_time_to_ask_the_views_no_plane_is_used(seconds):
-    start = _boxes(-0.42, 0.42)
-    problem = _verified(start, _seen(start), time.perf_counter() + seconds)
-    assert problem.symmetry.outcome == "unchecked"
-    assert problem.symmetry.candidate.symmetric
-    assert problem.symmetry.coefficients is None
     assert problem.flipped == ()
 
 

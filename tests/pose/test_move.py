@@ -231,13 +231,6 @@ def test_by_default_nothing_moves_by_a_photo_or_by_a_large_turn(view, wrong, why
     assert why in move.why_unmoved
 
 
-def test_a_short_budget_leaves_no_time_for_a_move_that_nobody_asked_for():
-    wrong = _wrong(PLANE.target)
-    assert refine(wrong, PLANE.view, config=RefineConfig(budget=0.5)).move.kind == "nothing"
-    asked = RefineConfig(budget=0.5, move="pose")
-    assert refine(wrong, PLANE.view, config=asked).move.kind == "pose"
-
-
 @pytest.mark.parametrize("times", [0.01, 4.0, 300.0])
 def test_a_cloud_in_other_units_keeps_its_distance_before_one_camera(times):
     wrong = times * _wrong(PLANE.target, about("z", 100.0))

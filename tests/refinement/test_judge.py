@@ -25,11 +25,9 @@ from tso_cli.refinement.run import run
 from tso_cli.refinement.scene import as_scene
 
 
-def _judged(points, view, displacements=0.0, symmetry=None, settings=None, **parts):
+def _judged(points, view, displacements=0.0, settings=None, **parts):
     """The result of an optimisation that says it lowered the loss by these ``displacements``."""
     problem = problem_of(points, view)
-    if symmetry:
-        problem = problem.with_symmetry(replace(problem.symmetry, outcome=symmetry))
     best = problem.cloud.start + displacements
     values = dict(best_step=1, losses=[2.0, 1.0], interrupted=False, first_loss=2.0, best_loss=1.0)
     optimised = Optimised(best, **(values | parts))
@@ -109,8 +107,6 @@ def test_a_loss_that_is_never_a_number_is_an_error(losses, message):
         # Half of the steps are too few, even if they are many.
         (dict(settings=FORTY, losses=[1.0] * 20, interrupted=True), "interrupted"),
         (dict(settings=FORTY, losses=[*[1.0] * 20, np.nan]), "steps"),
-        (dict(out_of_time=True), "time"),
-        (dict(symmetry="unchecked"), "time"),
         (dict(), "steps"),
     ],
 )

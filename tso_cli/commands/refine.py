@@ -27,7 +27,6 @@ HEADINGS = {
 BRIEF = (
     "mode",
     "preset",
-    "budget",
     "move",
     "camera",
     "output",
@@ -72,12 +71,6 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     help="Loss and defaults: the most accurate on validation shapes, or the paper's.",
 )
 @click.option(
-    "--budget",
-    metavar="auto|SECONDS",
-    default="auto",
-    help="How much work to spend: `auto` (from the scene), or a limit in seconds.",
-)
-@click.option(
     "--prior",
     type=options.FilePath(*options.WORDS["prior"]),
     metavar="learned|none|FILE",
@@ -89,7 +82,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     type=options.AutoOrInteger(),
     metavar="auto|N",
     help="How many control points move by themselves, 16 to 16,384 (of a mesh at most 4,096); all "
-    "other points follow.  [default: auto: 1024, or 512 with a short budget; paper: all]",
+    "other points follow.  [default: auto: 1024; paper: all]",
 )
 @click.option(
     "--symmetry",

@@ -119,7 +119,6 @@ class RefineReport:
     inputs: RefineInputs
     outputs: RefineOutputs
     words: Words
-    budget: str | float
     seconds: dict[str, float]
     given: dict[str, Any]
 
@@ -164,7 +163,7 @@ class RefineReport:
             "best_view": result.best_view and best_view_document(result.best_view),
             **move_document(result.move),
             "alternatives": alternatives_of(self.scene.fitted, result.move),
-            "budget": {"given": self.budget, "decisions": document_of(result.cost.decisions)},
+            "decisions": document_of(result.cost.decisions),
             "convention": {
                 **CONVENTION,
                 "loss": f"{objective_of(result)}; the mask's part is a sum over views, each times "
@@ -346,7 +345,6 @@ class RefineReport:
             "given": "assumed mirror-symmetric, about the given plane",
             "none_found": "no mirror symmetry assumed: the cloud has none",
             "contradicted": f"no mirror symmetry assumed: the {masks} it",
-            "unchecked": "no mirror symmetry assumed: the budget left no time to check it",
             # Only the default preset in points mode assumes symmetry by default.
             "not_asked": "no mirror symmetry assumed, as asked"
             if self.result.settings.smooth

@@ -196,9 +196,8 @@ class RefineRun:
             bar.close()
 
     def _report(self, result: RefineResult, seconds: dict[str, float]) -> RefineReport:
-        budget = "auto" if self._config.budget == "auto" else self._config.budget_seconds
         of_run = self._scene, self._inputs, self._outputs, self._words
-        return RefineReport(result, *of_run, budget, seconds, self._given)
+        return RefineReport(result, *of_run, seconds, self._given)
 
     def _words_so_far(
         self, result: RefineResult, seconds: dict[str, float]

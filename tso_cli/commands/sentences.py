@@ -215,8 +215,6 @@ def why_unmoved(result: RefineResult) -> str | None:
         "interrupted": f"interrupted at step {fit.steps}, before one lowered the loss",
         "non_finite": f"the loss was not a number after step {fit.steps}, and no loss before was "
         "lower than the loss of the start",
-        "out_of_time": f"the budget's seconds were over after {fit.steps} steps, before one agreed "
-        f"better with what {masks}",
         "nothing_to_do": f"the cloud already agrees with all that {masks}",
         "not_improved": f"none of {fit.steps} steps agrees better with what {masks} than the start "
         "does",
@@ -231,17 +229,12 @@ def _of_course(result: RefineResult) -> str | None:
         if result.move.explains or result.trust.reason == "unsure-place":
             return None
         return f"it moved as one, which does not explain the misfit: {reason}"
-    no_confidence = "" if result.trust.verdict else ": there is no confidence in the result"
     if reason and fit.outcome != "refused":
         what = "nothing to do" if fit.stop_reason == "nothing_to_do" else "nothing moved"
         return f"{what}: {reason}; the cloud is as it was"
     if fit.stop_reason == "interrupted":
         best = "start" if reason else "best so far"
         return f"interrupted at step {fit.steps} of {steps}: the result is the {best}"
-    if fit.stop_reason == "out_of_time":
-        return f"the budget ended after {fit.steps} of {steps} steps{no_confidence}"
-    if result.symmetry.outcome == "unchecked":
-        return f"the budget left no time for the symmetry check{no_confidence}"
     if fit.stop_reason == "non_finite":
         return (
             f"the loss was not a number after step {fit.steps}: the result is the best before that"

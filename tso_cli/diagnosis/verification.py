@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -32,7 +31,6 @@ def verify_hypotheses(
     read: Sequence[View],
     given: Sequence[Assumption],
     settings: Settings,
-    until: float = math.inf,
 ) -> Diagnosis:
     """The diagnosis, whose weak hypotheses are found or dropped as the optimisation says.
 
@@ -41,10 +39,10 @@ def verify_hypotheses(
     a mirror plane. An object of another shape fits them about as well; the same object, seen
     rightly, fits far better.
 
-    Nothing is compared with another preset than "best", with depth maps or photos, or without
-    time ``until`` then (`final_losses`). Weak hypotheses are not confirmed then, and another order
-    of the masks stays a finding. ``read`` are the views as they were read, which are meant
-    as the assumptions ``given`` say. Raises KeyboardInterrupt where Ctrl-C ended an optimisation.
+    Nothing is compared with another preset than "best", or with depth maps or photos. Weak
+    hypotheses are not confirmed then, and another order of the masks stays a finding. ``read`` are
+    the views as they were read, which are meant as the assumptions ``given`` say. Raises
+    KeyboardInterrupt where Ctrl-C ended an optimisation.
     """
     if not (diagnosis.unverified and settings.smooth and settings.steps and problem.masks_alone):
         return diagnosis
@@ -66,16 +64,14 @@ def verify_hypotheses(
             compared.append(one)
     found: list[Finding] = []
     if compared:
-        losses = final_losses(problems, weights, SmoothField(start), until)
-        if losses is None:
-            return diagnosis
+        losses = final_losses(problems, weights, SmoothField(start))
         order = sorted(zip(losses[1:], compared, strict=True), key=lambda pair: pair[0])
         found = [one for loss, one in order if loss < LOSS_LEFT * losses[0]]
     if diagnosis.otherwise and found:
         return diagnosis
     if diagnosis.otherwise:
         otherwise = replace(diagnosis.otherwise, notes=diagnosis.notes)
-        return verify_hypotheses(otherwise, problem, read, given, settings, until)
+        return verify_hypotheses(otherwise, problem, read, given, settings)
     if not found:
         return replace(diagnosis, weak=())
     return replace(diagnosis, of_input=tuple(found), weak=(), outvoted=False)
@@ -111,22 +107,17 @@ def closed(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     return sorted(paired.items())
 
 
-def verify_plane(
-    problem: Problem, weights: Sequence[float], field: SmoothField, until: float = math.inf
-) -> Problem:
+def verify_plane(problem: Problem, weights: Sequence[float], field: SmoothField) -> Problem:
     """The problem, without a mirror plane that was found if the views contradict it.
 
     Two short optimisations are compared, with and without the flipped views. A symmetric object
     fits both views at once. If the object is not symmetric, a view and its flipped view contradict
-    each other, and more loss remains. Without time ``until`` then (`final_losses`) there is no
-    check and no plane.
+    each other, and more loss remains.
 
     ``weights`` are of the given views; ``field`` is of the start. Raises KeyboardInterrupt where
     Ctrl-C ended an optimisation.
     """
-    losses = final_losses((problem, problem.without_flipped()), weights, field, until)
-    if losses is None:
-        return problem.with_symmetry(replace(problem.symmetry, outcome="unchecked"))
+    losses = final_losses((problem, problem.without_flipped()), weights, field)
     ratio = losses[0] / max(2.0 * losses[1], 1e-300)
     limit = LOSS_RATIO_OF_ONE if len(weights) == 1 else LOSS_RATIO_OF_SEVERAL
     passed = ratio <= limit or losses[0] == 0.0

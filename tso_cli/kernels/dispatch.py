@@ -40,7 +40,7 @@ _plan: ContextVar[Callable[[], bool] | None] = ContextVar("plan", default=None)
 
 
 @contextlib.contextmanager
-def planned(views: int, points: int, seconds: float = math.inf) -> Iterator[None]:
+def planned(views: int, points: int) -> Iterator[None]:
     """Inside, compiled loops run if they save time over the whole of this work.
 
     The outermost of nested plans counts.
@@ -49,14 +49,13 @@ def planned(views: int, points: int, seconds: float = math.inf) -> Iterator[None
     ----------
     views : clouds x views x steps, the number of times that a cloud is compared with a view.
     points : the sum of the clouds' points over all these comparisons.
-    seconds : the time limit of the work; loading the loops must leave half of it.
 
     Warns if numpy does the work only because no machine code is on disk.
     """
     if _plan.get() is not None:
         yield
         return
-    saved = min(Seconds.PER_VIEW * views + Seconds.PER_POINT * points, 0.5 * seconds)
+    saved = Seconds.PER_VIEW * views + Seconds.PER_POINT * points
     # Decided at the first question, because a look at the disk imports numba.
     token = _plan.set(functools.cache(functools.partial(_pays, saved)))
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -30,7 +29,6 @@ def optimise_field(
     observations: float = 1.0,
     terms: Sequence[Term] = (),
     on_progress: Progress | None = None,
-    until: float = math.inf,
 ) -> Optimised:
     """Move a cloud by a smooth displacement field until it agrees with its views.
 
@@ -45,7 +43,7 @@ def optimise_field(
     begin : where the points are at first, and held; the start without it.
     observations : `Problem.observations`: the more views, the looser the points are held.
     terms : further losses.
-    on_progress, until : as `minimise`.
+    on_progress : as `minimise`.
     """
     start = problem.cloud.start
     begin = begin or Beginning(start)
@@ -56,7 +54,7 @@ def optimise_field(
     agreement = sum_of([_mask_chamfer(targets, begin.points, field, recipe), *terms])
     optimiser = UniformAdam(learning_rate) if recipe.uniform_adam else Adam(learning_rate)
     parameters = FieldParameters(begin.points, field, recipe.smoothness, optimiser)
-    found = minimise(parameters, sum_of([agreement, held]), steps, on_progress, until)
+    found = minimise(parameters, sum_of([agreement, held]), steps, on_progress)
     # Compared without the position prior, which may hold the cloud elsewhere than at its start.
     loss_at_start, loss_at_best = agreement(start)[0], agreement(found.best)[0]
     better = loss_at_best < loss_at_start

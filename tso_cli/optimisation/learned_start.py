@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -26,8 +25,6 @@ RIGHT, OTHER = 0.003, 0.006
 # that does not: it gains less, and loses as much where the prior is wrong.
 FITS, FITS_NOT = 0.5, 2.0
 LEAST_SHARE = 0.5
-# The share of the time left that the prior may take.
-TIME_SHARE = 0.3
 # With this lambda of `SmoothField` the prior's step fades out where pictures end.
 OBSERVED_SMOOTHNESS = 5.0
 
@@ -48,20 +45,13 @@ class Beginning:
 
 
 def beginning(
-    problem: Problem,
-    weights: Sequence[float],
-    field: SmoothField,
-    prior: LearnedPrior,
-    until: float = math.inf,
+    problem: Problem, weights: Sequence[float], field: SmoothField, prior: LearnedPrior
 ) -> Beginning:
     """The start of the ``problem``, moved as the ``prior`` asks for where the masks agree.
 
-    ``weights`` are of the given views; ``field`` is of the start. The prior may take a share of the
-    time left ``until`` then (`time.perf_counter`); what is not done by then is left out.
+    ``weights`` are of the given views; ``field`` is of the start.
     """
     start = problem.cloud.start
-    now = time.perf_counter()
-    end = now + TIME_SHARE * (until - now)
     targets, frame = problem.targets(weights), Frame.of(start)
     shown = [
         Shown.of(view.camera, view.target, start, frame, weight)
@@ -73,7 +63,7 @@ def beginning(
         return Beginning(start)
     resolvability = targets.resolvability(start, field)
     objective = MaskChamferObjective(targets, START_ROBUST_SCALE, resolvability)
-    first = answer = seen.ask(prior, start, end)
+    first = answer = seen.ask(prior, start)
     if first is None:
         return Beginning(start)
     observed = _observed(start, targets, field)
@@ -84,7 +74,7 @@ def beginning(
     points, lowest = start, objective(start)[0]
     for number in range(PASSES):
         if number:
-            answer = seen.ask(prior, points, end)
+            answer = seen.ask(prior, points)
         if answer is None:
             break
         moved = points + taken * answer.displacements

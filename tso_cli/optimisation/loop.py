@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -41,7 +39,7 @@ class Optimised:
     best : [N, 3], the iterate with the lowest loss. best_step : its step.
     losses : where it began and after every step; the last is NaN where points or loss were not
         finite.
-    interrupted : whether Ctrl-C ended the optimisation. out_of_time : whether its time did.
+    interrupted : whether Ctrl-C ended the optimisation.
     first_loss, best_loss : of the start and of ``best``.
     begun : where `optimise_field` began, None in other optimisations.
     """
@@ -53,7 +51,6 @@ class Optimised:
     first_loss: float
     best_loss: float
     begun: Beginning | None = None
-    out_of_time: bool = False
 
     @property
     def steps(self) -> int:
@@ -79,18 +76,16 @@ def minimise(
     objective: Term,
     steps: int,
     on_progress: Progress | None = None,
-    until: float = math.inf,
 ) -> Optimised:
     """Minimise ``objective`` by ``parameters`` in ``steps`` steps.
 
-    The loop ends early where the loss is 0, points or loss are not finite, or ``until`` has passed
-    (`time.perf_counter`).
+    The loop ends early where the loss is 0, or points or loss are not finite.
 
     Raises KeyboardInterrupt before the loss of the start is known. Ctrl-C later ends the loop.
     """
     best, lowest, best_step = parameters.points(), np.inf, 0
     losses: list[float] = []
-    interrupted = out_of_time = False
+    interrupted = False
     try:
         for step in range(steps + 1):
             points = parameters.points()
@@ -105,8 +100,7 @@ def minimise(
                 best, lowest, best_step = points, value, step
             if on_progress and step:
                 on_progress(step, steps, value, points)
-            out_of_time = 0 < step < steps and time.perf_counter() >= until
-            if value == 0.0 or out_of_time:
+            if value == 0.0:
                 break
             if step < steps:
                 parameters.step(gradient)
@@ -116,6 +110,4 @@ def minimise(
         interrupted = True
     # Ctrl-C may come after the first loss is known and before it is the lowest.
     lowest = min(lowest, losses[0])
-    return Optimised(
-        best, best_step, losses, interrupted, losses[0], lowest, out_of_time=out_of_time
-    )
+    return Optimised(best, best_step, losses, interrupted, losses[0], lowest)

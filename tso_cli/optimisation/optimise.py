@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -50,7 +49,6 @@ def optimise(
     network: Parameters | None = None,
     begin: Beginning | None = None,
     on_progress: Progress | None = None,
-    until: float = math.inf,
 ) -> tuple[Optimised, Problem]:
     """Move the cloud, or the ``network`` that predicts it, until it agrees with its views.
 
@@ -77,14 +75,13 @@ def optimise(
             observations=problem.observations(weights),
             terms=[*chamfer, *_photometric(problem, weights, begin.points)],
             on_progress=on_progress,
-            until=until,
         )
         return found, problem
     term: Term = SilhouetteObjective(problem.resampled, problem.all_weights(weights))
     if settings.preset == "best":
         term = network_objective(start, problem.targets(weights))
     parameters = network or PointParameters(start, Adam(settings.learning_rate))
-    return minimise(parameters, sum_of([term, *chamfer]), steps, on_progress, until), problem
+    return minimise(parameters, sum_of([term, *chamfer]), steps, on_progress), problem
 
 
 @dataclass(frozen=True, eq=False)

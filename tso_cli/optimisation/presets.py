@@ -48,13 +48,6 @@ BEST_POINTS, PAPER_POINTS = DEFAULTS["best", "points"], DEFAULTS["paper", "point
 # Several views that disagree need longer to reconcile, up to this many.
 MOST_VIEWS_FOR_STEPS = 4
 
-# With a budget of fewer seconds for each view, the steps of 1,024 points may not fit ...
-SHORT_SECONDS = 0.3
-# ... and the default is this number of control points.
-SHORT_CONTROL_POINTS = 512
-# The share of a budget's seconds that the optimisation may take. The rest is for the evaluation.
-OPTIMISING_SHARE = 0.8
-
 # Least number of control points that may be asked for, and for which there is a confidence.
 FEWEST_CONTROL_POINTS = 16
 

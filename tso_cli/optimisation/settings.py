@@ -12,7 +12,7 @@ from .presets import Mode, Preset, Recipe
 class Settings:
     """A `RefineConfig` with the preset's values in place of None.
 
-    points : most control points, None for all points. seconds : how long the refinement may take.
+    points : most control points, None for all points.
     prior : "learned", "none" or the file of a prior.
     given : names of the values that the caller chose.
     """
@@ -30,7 +30,6 @@ class Settings:
     accept_doubtful: bool
     point_confidence: bool
     points: int | None
-    seconds: float
     prior: str
     recipe: Recipe
     given: frozenset[str]

@@ -17,7 +17,7 @@ from ..geometry.points import CANDIDATES, as_points, quantile, scattered
 from ..losses.chamfer import spacings
 from ..losses.nearest import fast_spread_subset, nearest
 
-SymmetryOutcome = Literal["used", "given", "not_asked", "none_found", "contradicted", "unchecked"]
+SymmetryOutcome = Literal["used", "given", "not_asked", "none_found", "contradicted"]
 
 
 class Search:
@@ -187,8 +187,8 @@ class SymmetryDecision:
     """Whether a mirror plane is used, and why.
 
     outcome : "used" (a plane that was found), "given", or without a plane "not_asked",
-        "none_found" (the cloud has none), "contradicted" (the cloud has one, the views contradict
-        it) or "unchecked" (there was no time to ask the views).
+        "none_found" (the cloud has none) or "contradicted" (the cloud has one, the views contradict
+        it).
     candidate : the plane that was given or found. check : of the views, where there was one.
     """
 
@@ -222,8 +222,6 @@ class SymmetryDecision:
         limits = f"(at most {Symmetric.LARGEST_MEAN} and {Symmetric.LARGEST_TAIL})"
         if self.outcome == "none_found":
             return f"{fit}, too far {limits}"
-        if self.outcome == "unchecked":
-            return f"{fit} {limits}; the budget leaves no time for the symmetry check"
         if self.check is None:
             return f"{fit} {limits}"
         bound = f"{'at most' if self.outcome == 'used' else 'over'} {self.check.limit}"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -75,17 +73,14 @@ class SeenCloud:
         """Of each view."""
         return [_samples(self.start @ view.rotation.T) for view in self.views]
 
-    def ask(self, prior: LearnedPrior, points: Array, until: float = math.inf) -> Answer | None:
+    def ask(self, prior: LearnedPrior, points: Array) -> Answer | None:
         """How ``points`` [N, 3], where the start has got to, should move.
 
-        None where the time is over before all views have been asked (`time.perf_counter`), or where
-        the answer is not finite.
+        None where the answer is not finite.
         """
         framed = (points - self.frame.centre) / self.frame.scale
         of_views = []
         for view, samples in zip(self.views, self._samples, strict=True):
-            if time.perf_counter() > until:
-                return None
             of_views.append(_answer(prior, framed @ view.rotation.T, view, samples))
         displacements, log_weights = (np.stack(part)[None] for part in zip(*of_views, strict=True))
         rotations = np.stack([view.rotation for view in self.views])[None]

@@ -96,7 +96,7 @@ def refine(
             known = (*known, *assumed_cameras(masks, cameras))
         scene = as_scene(points, views, assume, known)
     work = work_of(settings, len(views), len(scene.cloud.points))
-    with planned(*work, settings.seconds), blas.one_thread():
+    with planned(*work), blas.one_thread():
         return run(scene, settings, clock, parameters, progress)
 
 

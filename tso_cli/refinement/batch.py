@@ -235,10 +235,10 @@ def _on_cpu(scene: Any) -> Any:
 def _compiled(scenes: Iterable[Scene], config: RefineConfig, processes: bool) -> bool:
     """Whether the scenes are refined in compiled loops, which are compiled here if that pays."""
     if isinstance(scenes, Sequence):
-        work, seconds = _work(scenes, config), len(scenes) * config.budget_seconds
+        work = _work(scenes, config)
     else:  # nobody knows how many there are
-        work, seconds = enough_to_load(), math.inf
-    with planned(*work, seconds):
+        work = enough_to_load()
+    with planned(*work):
         compiled = use_compiled()
     if compiled and processes:
         # Here, and not by every process at once.

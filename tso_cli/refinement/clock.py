@@ -1,14 +1,11 @@
-"""The course of a run: the time that its phases take, when it must end, and whether Ctrl-C came."""
+"""The course of a run: the time that its phases take, and whether Ctrl-C came."""
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
-
-from ..optimisation.presets import OPTIMISING_SHARE
 
 Result = TypeVar("Result")
 
@@ -22,7 +19,6 @@ class Clock:
     """
 
     def __init__(self, interrupted: bool = False) -> None:
-        self._started = time.perf_counter()
         self.seconds: dict[str, float] = {}
         self.interrupted = interrupted
 
@@ -43,7 +39,3 @@ class Clock:
             except KeyboardInterrupt:
                 self.interrupted = True
                 return otherwise
-
-    def until(self, seconds: float) -> float:
-        """When the optimisation of a budget of ``seconds`` must end (`time.perf_counter`)."""
-        return math.inf if seconds == math.inf else self._started + OPTIMISING_SHARE * seconds

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from ..cloud.control_points import CONTROL_POINTS
 from ..errors import InputError
@@ -17,8 +17,6 @@ from ..optimisation.presets import (
     FEWEST_CONTROL_POINTS,
     MODES,
     PRESETS,
-    SHORT_CONTROL_POINTS,
-    SHORT_SECONDS,
     SIGMA_SQ,
     Mode,
     Preset,
@@ -62,11 +60,9 @@ class RefineConfig:
     accept_doubtful : move the points also where the cloud would be left as it was.
     point_confidence : also find how far the evidence determines each point, and the view that
         would help most.
-    budget : "auto": the steps of the preset; or seconds, in which the refinement ends. In a batch
-        each cloud has that many seconds.
     points : most control points: points that move by themselves, while the others follow (16 to
-        16,384; of a mesh at most 4,096). With "best" in points mode the default is 1,024, or 512
-        with a budget of less than 0.3 seconds a view. Otherwise all points move.
+        16,384; of a mesh at most 4,096). With "best" in points mode the default is 1,024.
+        Otherwise all points move.
     prior : what is known about shapes of the cloud's kind: "learned", the prior that comes with the
         program; "none"; or the path of a file that `tso train --prior` has written. The default is
         "learned" with "best" in points mode, else "none".
@@ -95,7 +91,6 @@ class RefineConfig:
     only: bool = False
     accept_doubtful: bool = False
     point_confidence: bool = False
-    budget: Literal["auto"] | float = "auto"
     points: int | None = None
     prior: str | Path | None = None
     recipe: Recipe = BEST
@@ -135,7 +130,6 @@ class RefineConfig:
             )
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
-        _ = self.budget_seconds
         smooth_only = {
             "recipe": self.recipe is not BEST,
             "points": self.points is not None,
@@ -168,28 +162,13 @@ class RefineConfig:
             raise InputError(f"{name} is {value!r}, expected a number {sign} 0, at most {most:g}")
 
     @property
-    def budget_seconds(self) -> float:
-        """The seconds of ``budget``, which may be given as text; infinite for "auto"."""
-        if self.budget == "auto":
-            return math.inf
-        try:
-            seconds = float(self.budget)
-        except (TypeError, ValueError):
-            seconds = math.nan
-        if isinstance(self.budget, bool) or not 0.0 < seconds < math.inf:
-            raise InputError(f"budget is {self.budget!r}, expected auto or seconds")
-        return seconds
-
-    @property
     def _smooth(self) -> bool:
         """Whether a smooth displacement is optimised, as `Settings.smooth`."""
         return self.preset == "best" and self.mode == "points"
 
     def settings(self, views: int = 1) -> Settings:
         """The same with the preset's values in place of None, for clouds with ``views`` views."""
-        preset, seconds = DEFAULTS[self.preset, self.mode], self.budget_seconds
-        smooth = self._smooth
-        short = seconds < SHORT_SECONDS * views
+        preset, smooth = DEFAULTS[self.preset, self.mode], self._smooth
         defaults: dict[str, Any] = dict(
             steps=default_steps(views) if smooth else preset.steps,
             learning_rate=preset.learning_rate,
@@ -198,15 +177,15 @@ class RefineConfig:
             sigma_sq=SIGMA_SQ,
             prior=LEARNED if smooth else NO_PRIOR,
             move="auto" if smooth else "shape",
-            points=(SHORT_CONTROL_POINTS if short else CONTROL_POINTS) if smooth else None,
+            points=CONTROL_POINTS if smooth else None,
         )
         chosen = {
             name: value
             for name, value in vars(self).items()
-            if value is not None and name not in ("budget", "only")
+            if value is not None and name != "only"
         }
         if self.only:
             chosen["steps"] = 0
         if "prior" in chosen:
             chosen["prior"] = str(chosen["prior"])
-        return Settings(**(defaults | chosen), seconds=seconds, given=frozenset(chosen))
+        return Settings(**(defaults | chosen), given=frozenset(chosen))

@@ -7,12 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ..optimisation.loop import Optimised
-from ..optimisation.presets import (
-    BEST_POINTS,
-    COMPARISON_STEPS,
-    SHORT_CONTROL_POINTS,
-    default_steps,
-)
+from ..optimisation.presets import BEST_POINTS, COMPARISON_STEPS, default_steps
 from ..optimisation.problem import Problem
 from ..optimisation.resampled_view import FINEST_GRID
 from ..optimisation.settings import Settings
@@ -82,8 +77,6 @@ def _points(problem: Problem, settings: Settings) -> Decision:
     if "points" in settings.given:
         asked = control == settings.points
         reason = "as asked for" if asked else "a surface has no more control points"
-    elif settings.points == SHORT_CONTROL_POINTS:
-        reason = f"{settings.seconds:g} s are short"
     return Decision("points", f"{control} of {of}", reason, 1.0 - control / of)
 
 
@@ -93,8 +86,6 @@ def _steps(problem: Problem, settings: Settings, optimised: Optimised) -> Decisi
     reason = f"{enough} are enough for {masks} mask{'s' * (masks > 1)}"
     if optimised.interrupted:
         reason = "interrupted"
-    elif optimised.out_of_time:
-        reason = f"{settings.seconds:g} s were over"
     elif done + 1 < len(optimised.losses):
         reason = "the loss was not a number after them"
     elif done < settings.steps:

@@ -58,8 +58,7 @@ def fit_maps(
         weighed = weigh(prepare(cloud, bare, replace(settings, symmetry="none")), settings)
         assert weighed.field is not None
         of_start = weighed.problem, weighed.weights.loss, weighed.field, prior
-        begin = partial(beginning, *of_start, clock.until(settings.seconds))
-        if begun := clock.attempt("move", begin, None):
+        if begun := clock.attempt("move", partial(beginning, *of_start), None):
             points = cloud.denormalise(begun.points)
     views, found = fitted(points, scene.views)
     return scene.with_views(views), found

@@ -219,13 +219,10 @@ def _why_unknown(
     steps = settings.steps if optimised.losses[-1] == 0.0 else optimised.steps
     points = len(problem.cloud.control_points)
     few = steps < max(FEWEST_STEPS, settings.steps / 2)
-    # The confidence counts on a symmetry check of a cloud that has a mirror plane.
-    late = (optimised.out_of_time and few) or problem.symmetry.outcome == "unchecked"
     reasons = (
         ("mode", "a network mode has none", settings.mode != "points"),
         ("points", f"{points} points are too few", points < FEWEST_CONTROL_POINTS),
         ("interrupted", "it was interrupted", few and optimised.interrupted),
-        ("time", f"{settings.seconds:g} s were too few", late),
         ("steps", f"{steps} steps are too few", few),
     )
     return next(((name, says) for name, says, holds in reasons if holds), None)
@@ -301,8 +298,6 @@ def _stop_reason(optimised: Optimised, ending: _Ending, steps: int) -> StopReaso
     if optimised.interrupted:
         return "interrupted"
     kept = ending.stop_reason
-    if optimised.out_of_time and kept in (None, "not_improved"):
-        return "out_of_time"
     if steps == 0 or not kept:
         return "max_steps"
     return "nothing_to_do" if optimised.first_loss == 0.0 else kept

@@ -19,7 +19,6 @@ StopReason = Literal[
     "max_steps",
     "interrupted",
     "non_finite",
-    "out_of_time",
     "nothing_to_do",
     "not_improved",
     "doubtful",
@@ -38,10 +37,9 @@ class Fit:
         it was too doubtful to be taken.
     steps : steps that were done. best_step : the step that the result is from. 0 is where the
         optimisation began: a moved cloud with 0 is as the learned prior moved it.
-    stop_reason : "max_steps". After "interrupted" (Ctrl-C), "out_of_time" (of the budget) and
-        "non_finite" (the loss became NaN or infinite) the best so far is kept. Where the result is
-        the start: "nothing_to_do" (its loss is 0), "not_improved" (no moved cloud was better) or
-        "doubtful" (refused).
+    stop_reason : "max_steps". After "interrupted" (Ctrl-C) and "non_finite" (the loss became NaN or
+        infinite) the best so far is kept. Where the result is the start: "nothing_to_do" (its loss
+        is 0), "not_improved" (no moved cloud was better) or "doubtful" (refused).
     losses : the objective where the optimisation begins, and after every step.
     loss_before, loss_after : of the start and of the result; with the default preset in points
         mode without the position prior.

@@ -25,9 +25,6 @@ from .judge import judge
 from .result import RefineResult
 from .scene import RefineScene
 
-# A view: with less, the default does not look for a move. One that is found takes half of it.
-SECONDS_OF_A_MOVE = 1.0
-
 
 def run(
     scene: RefineScene,
@@ -57,15 +54,14 @@ def run(
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
     diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
-    until = clock.until(settings.seconds)
     begin = None
     if weighed.field and settings.steps and prior is not None:
         of_start = weighed.problem, weighed.weights.loss, weighed.field
-        begin = clock.attempt("move", partial(beginning, *of_start, prior, until), None)
+        begin = clock.attempt("move", partial(beginning, *of_start, prior), None)
     report = on_progress and _in_unit_of(problem.cloud, on_progress)
     steps = 0 if clock.interrupted else settings.steps
     with clock.phase("optimise"):
-        optimised, problem = optimise(weighed, settings, steps, network, begin, report, until)
+        optimised, problem = optimise(weighed, settings, steps, network, begin, report)
     if clock.interrupted:
         optimised = replace(optimised, interrupted=True)
     with clock.phase("judge"):
@@ -116,8 +112,6 @@ def _fitted(
 def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock) -> Move:
     """What moves as one first."""
     asked = settings.move
-    if asked == "auto" and settings.seconds < SECONDS_OF_A_MOVE * len(scene.views):
-        return unmoved(scene.views, "the budget leaves no time to look")
     find = partial(find_move, cloud.body, scene.views, asked, settings.keep)
     if asked == "shape":
         return find()
@@ -170,12 +164,11 @@ def _verified(
 ) -> tuple[Diagnosis, WeighedProblem]:
     """Short optimisations decide about weak hypotheses and about a mirror plane."""
     diagnosis = _with_hypotheses_verified(scene, diagnosis, problem, settings, clock)
-    until = clock.until(settings.seconds)
     with clock.phase("prepare"):
         weighed = weigh(problem, settings)
     found = settings.symmetry == "auto" and problem.flipped
     if found and settings.steps and weighed.field:
-        verify = partial(verify_plane, problem, weighed.weights.loss, weighed.field, until)
+        verify = partial(verify_plane, problem, weighed.weights.loss, weighed.field)
         weighed = replace(weighed, problem=clock.attempt("check symmetry", verify, problem))
     return diagnosis, weighed
 
@@ -185,7 +178,6 @@ def _with_hypotheses_verified(
 ) -> Diagnosis:
     if not diagnosis.unverified:
         return diagnosis
-    until = clock.until(settings.seconds)
     meant = scene.read, scene.assumptions
-    verify = partial(verify_hypotheses, diagnosis, problem, *meant, settings, until)
+    verify = partial(verify_hypotheses, diagnosis, problem, *meant, settings)
     return clock.attempt("check mistake", verify, diagnosis)

@@ -184,7 +184,7 @@ def tables(record: Record) -> list[Table]:
 
 STUDY = Study(
     name="pareto",
-    about="Every mode and preset, swept over steps, points, pixels, masks and budgets, and other "
+    about="Every mode and preset, swept over steps, points, pixels and masks, and other "
     "ways to compare points with a mask.",
     parts=(
         "pictures",

@@ -105,11 +105,10 @@ def lines(group: Record) -> dict[str, list[str]]:
     return {line: sorted(names, key=_order) for line, names in found.items()}
 
 
-def _order(name: str) -> tuple[Any, ...]:
-    """Points, pixels, masks; then budgets of seconds before auto."""
+def _order(name: str) -> tuple[int, int, int]:
+    """Points, pixels, masks."""
     way = WAYS[name]
-    budget = str(way.run.config.budget) if isinstance(way.run, Variant) else ""
-    return way.points, way.size, way.masks, budget == "auto", budget
+    return way.points, way.size, way.masks
 
 
 def _draw_ways(axis: Any, group: Record) -> None:
@@ -141,13 +140,12 @@ def _label(axis: Any, group: Record, others: bool) -> None:
 
     ways, renderer = group["ways"], axis.figure.canvas.get_renderer()
     ends = [names[-1] for line, names in lines(group).items() if line not in STEPS]
-    budgets = [name for name in ways if WAYS[name].line == "budget"]
     centres = [axis.transData.transform(_place(row)) for row in ways.values()]
     taken = [Bbox.from_bounds(x - 4, y - 4, 8, 8) for x, y in centres]
     style = {"fontsize": 8, "color": INK, "textcoords": "offset points", "zorder": 5}
     style |= {"path_effects": [withStroke(linewidth=2.5, foreground="white")]}
     arrow = {"arrowstyle": "-", "color": OTHERS, "linewidth": 0.5}
-    for name in dict.fromkeys([DEFAULT, PAPER, *group["front"], *budgets, *ends]):
+    for name in dict.fromkeys([DEFAULT, PAPER, *group["front"], *ends]):
         if name in PEERS and not others:
             continue
         weight = "bold" if name == DEFAULT else "normal"

@@ -29,8 +29,6 @@ STEPS: dict[str, tuple[int | None, ...]] = {
     "latent, paper": (12, None, 100),
     "latent, best": (15, None, 60),
 }
-BUDGETS = ("0.06", "0.1")
-"""Seconds; the default is auto."""
 PUBLISHED_SECONDS, PUBLISHED = 1.0, (0.94, 0.97)
 """The paper's own: 3 to 6 % nearer, in about a second."""
 
@@ -86,11 +84,7 @@ WAYS: dict[str, Way] = {
     **{f"{DEFAULT}, {count} masks": _default("masks", BOTH, masks=count) for count in (2, 4)},
     **{f"{DEFAULT}, {n:,} points": _default("points", points=n) for n in (256, 4096, 16384)},
     **{f"{DEFAULT}, {size} px": _default("pixels", size=size) for size in (32, 128, 256)},
-    **{
-        f"{DEFAULT}, budget {b}": Way(Variant(RefineConfig(budget=float(b))), "budget")
-        for b in BUDGETS
-    },
-    # What auto decides, one decision changed at a time.
+    # What the default decides, one decision changed at a time.
     f"{DEFAULT}, 512 move": Way(Variant(RefineConfig(points=512)), "moving", (CLOUD,)),
     f"{DEFAULT}, 4,096 points, all move": Way(
         Variant(RefineConfig(points=4096)), "", (CLOUD,), points=4096

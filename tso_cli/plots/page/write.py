@@ -366,7 +366,7 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
             for view in document["views"]
         ),
     )
-    decisions = document["budget"]["decisions"]
+    decisions = document["decisions"]
     decided = "<p>This mode and preset decide nothing from the scene.</p>"
     if decisions:
         decided = _table(
