@@ -43,13 +43,9 @@ def altered(
     place = TROUBLES.index(trouble) * STRIDE + number
     shape, strength = gallery.shape(place), number % STRENGTHS
     views = max(views, trouble.views)
-    names: Record = {
-        "trouble": trouble.name,
-        "start": start,
-        "number": number,
-        "strength": strength,
-    }
-    names |= {"views": views, "shape": shape.name, "category": shape.category}
+    names: Record = {"trouble": trouble.name, "start": start, "number": number}
+    names |= {"strength": strength, "views": views}
+    names |= {"shape": shape.name, "category": shape.category}
     names["listed"] = shape.name in gallery.listed
     rng = gallery.rng(trouble.name, start, shape.name, str(number))
     try:

@@ -42,6 +42,7 @@ SEGMENTS = {
 }
 ROW_HEIGHT = 0.13
 """Inches."""
+SCENES, QUICK_SCENES = 12, 2
 CONVENTION = {
     "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + "
     "backward, longest side 1, of the object's own points to 16,384 true ones; mean of the runs "
@@ -53,6 +54,7 @@ CONVENTION = {
     "worse, said": f"ratio over {WORSE}, and one of these, or the input was refused",
     "gain withheld": "the result was too doubtful to be taken, and with accept_doubtful its ratio "
     f"is under {BETTER}",
+    **{trouble.name: f"the user {trouble.did}" for trouble in TROUBLES[1:]},
 }
 
 
@@ -64,12 +66,13 @@ def plan(
     split: Path | None,
     part: str,
     unseen: Path | None,
-    per: int,
+    per: int | None,
     seed: int,
     variants: bool,
     names: Sequence[str],
 ) -> Plan:
     """A job for each trouble, start and variant; InputError without meshes, unless ``quick``."""
+    per = per or (QUICK_SCENES if quick else SCENES)
     if quick:
         meshes = unseen = None
     elif meshes is None and unseen is None:
@@ -144,7 +147,7 @@ def tables(record: Record) -> list[Table]:
         ]
         result.append(Table(["trouble", "start", *header], rows, f"Variant {variant}", decimals=2))
     strengths = [
-        [name, start, _level(name, int(strength)), *_cells(row)]
+        [name, start, TROUBLE[name].at(int(strength)), *_cells(row)]
         for name, starts in record["strengths"].items()
         for start, by_strength in starts.items()
         for strength, row in by_strength.items()
@@ -162,11 +165,6 @@ def tables(record: Record) -> list[Table]:
 
 def _cells(row: Record) -> list[Any]:
     return [row["runs"], row["ratio"], row["worst"], *(row[name] for name in SHARES)]
-
-
-def _level(name: str, strength: int) -> str:
-    trouble = TROUBLE[name]
-    return f"{trouble.levels[strength]:g} {trouble.unit}"
 
 
 def draw(path: Path, record: Record, overwrite: bool) -> None:
@@ -235,7 +233,7 @@ STUDY = Study(
         options.SPLIT,
         options.part("validation"),
         Option("--unseen", "Folder of meshes in no list, with index.csv.", Path),
-        Option("--per", "Scenes for each trouble and start.", int, 12, least=1),
+        Option("--per", f"Scenes for each trouble and start.  [default: {SCENES}]", int, least=1),
         Option(
             "--trouble", "May be repeated.  [default: all]", default=(), multiple=True, name="names"
         ),

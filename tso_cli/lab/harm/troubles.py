@@ -29,6 +29,8 @@ POST, FOOT, FOOT_HEIGHT = 0.04, 0.2, 0.06
 SHADOW, ASIDE = 0.55, 0.2
 # A picture of another object overlaps by at most this share of its width.
 MOST_OVERLAP = 0.15
+LEAST_LEFT = 0.3
+"""The share of the foreground that a tight mask keeps, unless it is a pixel thin."""
 # The share of the points that must still fall on the mask where the principal point is wrong.
 LEAST_ON_MASK = 0.1
 FLOOR_SHARES = {1.5: 0.2, 2.0: 0.4, 3.0: 0.6}
@@ -44,7 +46,7 @@ class Trouble:
     """One thing that is wrong.
 
     did : what the user did. alter : (scene, level, rng) -> the altered scene.
-    levels : one for each strength, in ``unit``; () where it is wrong or not.
+    levels : for each strength, in ``unit`` or as a factor; () where it is wrong or not.
     starts : that it is about. views : how many it needs at least.
     """
 
@@ -53,13 +55,17 @@ class Trouble:
     did: str
     alter: Alter
     levels: Levels = ()
-    unit: str = ""
+    unit: str = "%"
     starts: tuple[str, ...] = STARTS
     views: int = 1
 
     def apply(self, scene: Scene, strength: int, rng: Rng) -> Scene:
         """The scene with this trouble; InputError where no mask is left."""
         return self.alter(scene, self.levels[strength] if self.levels else 0.0, rng)
+
+    def at(self, strength: int) -> str:
+        """The level in words."""
+        return f"{self.levels[strength]:g} {self.unit or 'times'}"
 
 
 def _sideways(rng: Rng) -> Array:
@@ -171,7 +177,10 @@ def _grown(inside: Bits, percent: float, rng: Rng) -> Bits:
 
 
 def _shrunk(inside: Bits, percent: float, rng: Rng) -> Bits:
-    left: Bits = distance_transform_edt(inside) > _pixels(inside, percent)
+    """By less where hardly anything would be left."""
+    depth = distance_transform_edt(inside)
+    most = np.quantile(depth[inside], 1.0 - LEAST_LEFT)
+    left: Bits = depth > min(_pixels(inside, percent), most)
     return left
 
 
@@ -338,43 +347,35 @@ def _too_large(points: Array, times: float, rng: Rng) -> Array:
     return np.asarray(middle + times * (points - middle))
 
 
-PERCENT, DEGREES, TIMES = "%", "degrees", "times"
+DEGREES = "degrees"
 TROUBLES = (
-    Trouble("nothing wrong", "none", "Nothing.", lambda scene, *_: scene),
-    Trouble("arm", "mask", "Masked the arm that holds it.", _mask(_arm), (6, 10, 15), PERCENT),
-    Trouble("stand", "mask", "Masked its stand.", _mask(_stand), (10, 20, 35), PERCENT),
-    Trouble("shadow", "mask", "Masked its contact shadow.", _mask(_shadow), (6, 10, 15), PERCENT),
+    Trouble("nothing wrong", "none", "nothing", lambda scene, *_: scene),
+    Trouble("arm", "mask", "masked the arm that holds it", _mask(_arm), (6, 10, 15)),
+    Trouble("stand", "mask", "masked its stand too", _mask(_stand), (10, 20, 35)),
+    Trouble("shadow", "mask", "masked its contact shadow", _mask(_shadow), (6, 10, 15)),
+    Trouble("second object", "mask", "masked its neighbour too", _second_object, (35, 60, 100)),
+    Trouble("bite", "mask", "let something hide a part", _mask(_bite), (8, 15, 30)),
+    Trouble("grown", "mask", "took loose masks", _mask(_grown, True), (1, 2, 4)),
+    Trouble("shrunk", "mask", "took tight masks", _mask(_shrunk, True), (1, 2, 4)),
+    Trouble("focal", "camera", "guessed the focal length", _camera(_focal), (0.9, 0.85, 0.8), ""),
+    Trouble("squashed", "camera", "changed the aspect ratio", _camera(_squashed), (6, 10, 15)),
+    Trouble("crop", "camera", "kept K of the picture before it was cropped", _crop, (5, 10, 20)),
+    Trouble("portrait", "camera", "exchanged width and height for K", _portrait),
+    Trouble("yaw", "camera", "took masks of the next frame", _camera(_yaw), (3, 6, 12), DEGREES),
+    Trouble("other camera", "camera", "gave two views one camera", _other_camera, views=4),
+    Trouble("rolled", "camera", "left out the roll", _camera(_rolled), (2, 5, 10), DEGREES),
+    Trouble("depth right", "depth", "gave right maps, nothing is wrong", _depth(_depth_right)),
+    Trouble("depth far", "depth", "gave maps of a wrong scale", _depth(_depth_far), (5, 10, 20)),
+    Trouble("depth offset", "depth", "did not register them", _depth(_depth_offset), (1, 3, 6)),
+    Trouble("depth noise", "depth", "gave noisy maps", _depth(_depth_noise), (1, 3, 6)),
+    Trouble("depth relief", "depth", "gave guessed maps", _depth(_depth_relief), (1.3, 1.6, 2), ""),
+    Trouble("floor", "cloud", "left the floor in", _cloud(_floor), tuple(FLOOR_SHARES), ""),
+    Trouble("floaters", "cloud", "left floaters in", _cloud(_floaters), (2, 5, 10)),
+    Trouble("mirrored", "cloud", "mirrored x", _flipped(-1, 1, 1), starts=STARTS[:1]),
+    Trouble("backwards", "cloud", "turned it half a turn", _flipped(-1, 1, -1)),
     Trouble(
-        "second object", "mask", "Masked its neighbour.", _second_object, (35, 60, 100), PERCENT
+        "out of place", "cloud", "placed it roughly", _cloud(_out_of_place), (3, 6, 12), DEGREES
     ),
-    Trouble("bite", "mask", "Let something hide it.", _mask(_bite), (8, 15, 30), PERCENT),
-    Trouble("grown", "mask", "Took loose masks.", _mask(_grown, True), (1, 2, 4), PERCENT),
-    Trouble("shrunk", "mask", "Took tight masks.", _mask(_shrunk, True), (1, 2, 4), PERCENT),
-    Trouble("focal", "camera", "Guessed f.", _camera(_focal), (0.9, 0.85, 0.8), TIMES),
-    Trouble(
-        "squashed", "camera", "Changed the aspect ratio.", _camera(_squashed), (6, 10, 15), PERCENT
-    ),
-    Trouble("crop", "camera", "Kept K of the uncropped picture.", _crop, (5, 10, 20), PERCENT),
-    Trouble("portrait", "camera", "Exchanged width and height for K.", _portrait),
-    Trouble("yaw", "camera", "Took masks of the next frame.", _camera(_yaw), (3, 6, 12), DEGREES),
-    Trouble("other camera", "camera", "Took another view's camera.", _other_camera, views=4),
-    Trouble("rolled", "camera", "Held it askew.", _camera(_rolled), (2, 5, 10), DEGREES),
-    Trouble("depth right", "depth", "Gave right depth maps.", _depth(_depth_right)),
-    Trouble("depth far", "depth", "Had a wrong scale.", _depth(_depth_far), (5, 10, 20), PERCENT),
-    Trouble(
-        "depth offset", "depth", "Did not register it.", _depth(_depth_offset), (1, 3, 6), PERCENT
-    ),
-    Trouble("depth noise", "depth", "Had noise.", _depth(_depth_noise), (1, 3, 6), PERCENT),
-    Trouble(
-        "depth relief", "depth", "Took a network's.", _depth(_depth_relief), (1.3, 1.6, 2.0), TIMES
-    ),
-    Trouble("floor", "cloud", "Left the floor in.", _cloud(_floor), tuple(FLOOR_SHARES), TIMES),
-    Trouble("floaters", "cloud", "Left floaters in.", _cloud(_floaters), (2, 5, 10), PERCENT),
-    Trouble("mirrored", "cloud", "Mirrored x.", _flipped(-1, 1, 1), starts=STARTS[:1]),
-    Trouble("backwards", "cloud", "Turned it half a turn.", _flipped(-1, 1, -1)),
-    Trouble(
-        "out of place", "cloud", "Placed it roughly.", _cloud(_out_of_place), (3, 6, 12), DEGREES
-    ),
-    Trouble("too large", "cloud", "Guessed its size.", _cloud(_too_large), (1.05, 1.1, 1.2), TIMES),
+    Trouble("too large", "cloud", "guessed its size", _cloud(_too_large), (1.05, 1.1, 1.2), ""),
 )
 TROUBLE = {trouble.name: trouble for trouble in TROUBLES}
