@@ -12,6 +12,10 @@ QUESTIONS = {
         "stability.study.STUDY",
         "How wrong may masks, cameras, clouds and settings be, and does tso warn?",
     ),
+    "harm": (
+        "harm.study.STUDY",
+        "How often does a cloud get worse in the field, and does tso say so?",
+    ),
     "confidence": ("studies.confidence.STUDY", "Does tso know when it failed?"),
     "evidence": (
         "studies.evidence.STUDY",
