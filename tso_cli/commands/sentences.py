@@ -26,7 +26,15 @@ LOOK = (
     "similarity"
 )
 # What mends a symptom of a single view.
-OPTIONS = {"box": "a mask of its outline"}
+OPTIONS = {
+    "box": "a mask of its outline",
+    "focal-length": "--camera fit, or --move similarity",
+    "aspect": "K of the picture that the mask is of",
+    "principal-point": "K of the picture that the mask is of, or --move pose",
+    "outline": "a mask whose outline is that of the object",
+    "pose": "--move pose",
+    "shift": "--move pose",
+}
 # What a verdict means; "" where there is none.
 VERDICTS = {
     "improved": "The points moved, and the Chamfer distance to the true shape probably does not "
@@ -216,6 +224,7 @@ def why_unmoved(result: RefineResult) -> str | None:
         "non_finite": f"the loss was not a number after step {fit.steps}, and no loss before was "
         "lower than the loss of the start",
         "nothing_to_do": f"the cloud already agrees with all that {masks}",
+        "fits": f"the cloud fits the contours that {masks}",
         "not_improved": f"none of {fit.steps} steps agrees better with what {masks} than the start "
         "does",
     }[fit.stop_reason]

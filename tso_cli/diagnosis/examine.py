@@ -13,11 +13,14 @@ from ..geometry.arrays import Array, Bits, Box
 from ..geometry.points import scattered
 from ..geometry.view import View
 from ..optimisation.view_weights import FEWEST_VIEWS_TO_OUTVOTE
+from ..pose.move import Body, Move
 from . import symptoms
 from .assumptions import Assumption
+from .causes import findings_of_causes, findings_of_parts
 from .cells import Outline
 from .explain import OUTVOTED_SHARE, Explanation, explain
 from .findings import Finding
+from .foreign_parts import parts_that_explain
 from .hypotheses import focal_in_pixels
 from .placement import Placement, part_met, place, why_apart
 
@@ -45,6 +48,7 @@ class Diagnosis:
     explanation : None in the network modes, which place their cloud themselves.
     most_confidence : an upper bound of the confidence, from what the masks can show.
     outvoted : whether the suspicious views are few, so that the others outvote them.
+    fits : whether the cloud fits the contours of the masks, and of what they show of the object.
     otherwise : where masks and cameras seem to be mispaired, the diagnosis if they are not.
     """
 
@@ -57,6 +61,7 @@ class Diagnosis:
     explanation: Explanation | None = None
     most_confidence: float = 1.0
     outvoted: bool = False
+    fits: bool = False
     otherwise: Diagnosis | None = None
 
     @property
@@ -119,6 +124,26 @@ def examine(
             error.cloud = cloud
             raise error
     return diagnosis
+
+
+def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Move) -> Diagnosis:
+    """The diagnosis with what explains that a cloud does not fit its masks, after the ``move``.
+
+    A finding that is suspicious already is likelier than a cause with unknowns.
+    """
+    if diagnosis.suspicious:
+        return diagnosis
+    if move.causes:
+        return replace(diagnosis, of_input=findings_of_causes(move.causes, views), weak=())
+    fits = move.fits and all(view.image is None for view in views)
+    if fits or np.isnan(move.missed):
+        return replace(diagnosis, fits=fits, weak=() if fits else diagnosis.weak)
+    parts = parts_that_explain(body, views)
+    if not parts:
+        return diagnosis
+    notes = (*findings_of_parts(parts), *diagnosis.notes)
+    hidden = {number: part.ignored for number, part in parts.items()}
+    return replace(diagnosis, fits=True, notes=notes, hidden=hidden, weak=())
 
 
 def _explained(

@@ -12,6 +12,14 @@ from .hypotheses import Hypothesis, hypothesis_called
 SUSPICIOUS_SYMPTOMS = {
     "box": "the mask is the bounding box of the object",
     "mispaired": "masks and cameras are paired wrongly",
+    "focal-length": "the focal length is {percent:.0f} % too {how}, or the object is as much "
+    "{otherwise} than the cloud",
+    "aspect": "fy is {percent:.0f} % too {how} for fx, as K of a picture that was squashed",
+    "principal-point": "the principal point is {x:+.0f}, {y:+.0f} px off, as K of a picture that "
+    "was cropped",
+    "outline": "the masks are {pixels:.1f} px too {how} on all sides",
+    "pose": "the cloud is turned by {degrees:.0f} degrees and shifted by {share:.0f} % of its size",
+    "shift": "the cloud is shifted by {share:.0f} % of its size",
 }
 # What a depth map holds.
 OF_DEPTH_MAPS = {
@@ -33,6 +41,10 @@ ASSUMED_CAMERA = "assumed-camera"
 # What is worth reading before a result is used.
 NOTES = {
     **OF_DEPTH_MAPS,
+    "foreign-part": "something that is not the object seems to take {share:.0f} % of the mask, so "
+    "the mask counts nothing there",
+    "missing-part": "{share:.0f} % of the cloud lie outside the mask, where the rest of it fits: "
+    "something hides the object, or the cloud holds something else; they stay",
     "occluder": "something seems to hide {share:.0f} % of the object, so the mask counts nothing "
     "there",
     "unsure-camera": "the fitted camera is unsure: {why}",

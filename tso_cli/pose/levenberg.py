@@ -8,10 +8,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ..geometry.arrays import Array
-from .placement import FOCAL, SHIFT, SIZE, TURN, UNKNOWNS, Placements, Rows
+from .placement import ASPECT, FOCAL, SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements, Rows
 
 # The linear model holds for steps up to this: radians, logarithms, and sizes of the cloud.
 LARGEST_STEP = 0.4
+# The unknowns that are logarithms of lengths.
+SCALES = [SIZE, FOCAL, *range(STRETCH.start, STRETCH.stop), ASPECT]
 # How many residuals are independent of each other. A silhouette has many more pixels, but what a
 # wrong shape adds or lacks spans long pieces of its contour.
 INDEPENDENT = 30.0
@@ -67,7 +69,8 @@ Misfit = Callable[[Placements], System]
 class Freedom:
     """What may change, and how far it is from what is given.
 
-    basis : [17, k], its columns are the combinations of unknowns that may change.
+    basis : [17, k], its columns are the combinations of unknowns that may change; or [P, 17, k], of
+        each placement by itself, where columns of zeros change nothing.
     given : the placement that was given. deviation : [17], standard deviations of its error;
         infinite for unknowns that nothing is known about.
     """
@@ -125,7 +128,8 @@ def improve(
     active = np.arange(len(placements))
     for _ in range(steps):
         at, system = placements[active], now[active]
-        tried = at.stepped(_step(at, system, damping[active], freedom.basis))
+        basis = freedom.basis if freedom.basis.ndim == 2 else freedom.basis[active]
+        tried = at.stepped(_step(at, system, damping[active], basis))
         after = measured(tried)
         gain = system.value - after.value
         better = gain > 0.0
@@ -141,14 +145,15 @@ def improve(
 
 def _step(placements: Placements, system: System, damping: Array, basis: Array) -> Array:
     """A damped Gauss-Newton step [P, 17], as long as the linear model holds."""
-    normal = basis.T @ system.normal @ basis
+    transposed = np.swapaxes(basis, -1, -2)
+    normal = transposed @ system.normal @ basis
     diagonal = np.einsum("pii->pi", normal)
     least = Damping.ABSOLUTE * diagonal.max(1, keepdims=True) + np.finfo(float).tiny
     diagonal += damping[:, None] * diagonal + least
-    step = np.linalg.solve(normal, (system.gradient @ basis)[..., None])[..., 0] @ basis.T
+    step = (basis @ np.linalg.solve(normal, transposed @ system.gradient[..., None]))[..., 0]
     angle = np.linalg.norm(step[:, TURN], axis=1)
     moved = np.linalg.norm(step[:, SHIFT], axis=1) / placements.size
-    scaled = np.abs(step[:, [SIZE, FOCAL]]).max(1)
+    scaled = np.abs(step[:, SCALES]).max(1)
     largest = np.maximum(np.maximum(angle, moved), scaled)
     shortened: Array = step / np.maximum(largest / LARGEST_STEP, 1.0)[:, None]
     return shortened

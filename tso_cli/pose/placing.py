@@ -18,12 +18,10 @@ from .move import MOST_DEGREES, Body, Move, unmoved
 from .placement import SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements
 from .search import (
     EXPLAINED,
-    PROMISING_UNASKED,
     SURE_GAP,
     Comparison,
     Found,
     place_from,
-    search_from,
     some_views,
 )
 from .starts import closed_iou, size_of_object
@@ -48,26 +46,18 @@ OTHER_UNITS = 5.0
 BRINGS_LITTLE = 0.1
 
 
-def find_move(
-    body: Body, views: Sequence[View], asked: Asked = "auto", keep: Keep = "auto"
-) -> Move:
+def find_move(body: Body, views: Sequence[View], asked: Asked, keep: Keep = "auto") -> Move:
     """What moves, of what was ``asked`` for.
 
-    "auto" : a shift or a pose, whichever explains the misfit with the fewest unknowns; nothing if
-    none does, if a stretch explains it about as well, if the cloud fits where it is, if a picture
-    cuts off the object, so that its contour does not show where it is, or if there is a photo,
-    which may contradict the contours. "camera" : each camera by itself. Else the cloud stands where
-    the masks would have it,
-    near where it was given, or anywhere if it does not fit there.
+    "camera" : each camera by itself. "shape" : nothing. Else the cloud stands where the masks would
+    have it, near where it was given, or anywhere if it does not fit there.
     """
     if asked == "shape":
         return unmoved(views, "the shape alone was asked for")
-    problem = _Placing(body, tuple(views))
+    problem = Placing(body, tuple(views))
     if asked == "camera":
         return problem.of_cameras()
-    if asked == "auto":
-        return problem.ladder(keep)
-    return problem.asked(asked, keep)
+    return problem.asked("similarity" if asked == "similarity" else "pose", keep)
 
 
 def _why_unsure(best: Move, others: Sequence[Move]) -> str:
@@ -89,7 +79,7 @@ def _why_unsure(best: Move, others: Sequence[Move]) -> str:
     return ""
 
 
-class _Placing:
+class Placing:
     """A cloud and some of its views in the units of the cloud."""
 
     def __init__(self, body: Body, views: tuple[View, ...], unit: float | None = None) -> None:
@@ -141,57 +131,32 @@ class _Placing:
             freedom = replace(freedom, given=of_depth)
         return freedom, kept
 
-    def ladder(self, keep: Keep) -> Move:
-        """The fewest unknowns that explain the misfit."""
+    @property
+    def why_fixed(self) -> str | None:
+        """Why contours do not show where the cloud is; None if they do."""
         if any(view.truncated for view in self.views):
-            return unmoved(self.views, "a picture cuts off the object")
+            return "a picture cuts off the object"
         if any(view.image is not None for view in self.views):
-            return unmoved(self.views, "a photo may contradict the contours")
-        if self.comparison.fits(Placements.unmoved()):
-            return unmoved(self.views, "the cloud fits the contours where it is")
-        # A size that fits says as much of the focal length, so it is not the default's to change.
-        # Of size and distance, the distance stays: it is longer than the object, so that a wrong
-        # distance is a larger error than a wrong size.
-        if not self.both_found and keep == "auto":
-            keep = "distance"
-        rungs: list[tuple[Moved, Keep]] = [("pose", keep), ("shift", keep)]
-        # From many unknowns to few: a cloud that no move explains costs one search.
-        moves: list[Move] = []
-        for kind, kept_here in rungs:
-            freedom, kept = self.freedom(kind, kept_here)
-            found = search_from(self.comparison, freedom, PROMISING_UNASKED)
-            if not moves and not self.is_plausible(found):
-                why = "no small turn and shift explains what the cloud misses of the contours"
-                return unmoved(self.views, why, found.given)
-            moves.append(self.move(kind, found, kept))
-        enough = moves[0].missed + BRINGS_LITTLE
-        move = next(move for move in reversed(moves) if move.missed <= enough)
-        stretched = search_from(self.comparison, self.stretch, PROMISING_UNASKED)
-        # A stretch has more unknowns. A thin cloud that is turned looks like one that is stretched.
-        if move.missed > stretched.missed:
-            why = "a cloud of other proportions explains about as much of the contours"
-            return unmoved(self.views, why, move.missed_before)
-        return move
+            return "a photo may contradict the contours"
+        return None
+
+    def moved(
+        self, kind: Moved, placement: Placements, given: float, missed: float, keep: Keep
+    ) -> Move:
+        """The move to a ``placement`` that was found elsewhere."""
+        return self.move(kind, Found(placement, given, missed), self.freedom(kind, keep)[1])
 
     @property
     def stretch(self) -> Freedom:
         """The cloud may stretch along any axes, and shift."""
         return Freedom.of(Placements.unmoved(), STRETCH, SIZE, SHIFT, deviation=GIVEN_ERROR)
 
-    def is_plausible(self, found: Found) -> bool:
-        """Whether the default may believe in what a search found."""
-        given, depth = Placements.unmoved(), self.comparison.depth()
-        if depth is not None and depth(found.placement).value > depth(given).value:
-            return False
-        change = found.placement.since(given)[0] / GIVEN_ERROR
-        return found.explains and bool(np.abs(change).max() <= MOST_DEVIATIONS)
-
     def asked(self, kind: Moved, keep: Keep) -> Move:
         """Near where the cloud was given, or anywhere if it does not fit there."""
         if kind == "similarity" and len(self.views) > 1:
             times = size_of_object(self.comparison.targets)
             if abs(np.log(times)) > np.log(OTHER_UNITS):
-                in_units = _Placing(self.body, self.views, self.unit * times)
+                in_units = Placing(self.body, self.views, self.unit * times)
                 return in_units.anywhere(*in_units.freedom(kind, keep), kind)
         freedom, kept = self.freedom(kind, keep)
         if not self.in_front:
@@ -258,7 +223,7 @@ class _Placing:
     def of_cameras(self) -> Move:
         views, found = [], []
         for view in self.views:
-            alone = _Placing(self.body, (view,))
+            alone = Placing(self.body, (view,))
             freedom, _ = alone.freedom("pose", "size")
             one = place_from(alone.comparison, freedom)
             found.append(one)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -27,6 +28,8 @@ STEPS = 15
 FROM_AFAR, NEARER, EXACT = 4.0, 1.5, 0.6
 # The least scale of distances to a depth map, in cells. Depth maps are less exact than masks.
 LEAST_OF_DEPTH = 1.0
+# How exactly a mask shows where its contour is, in pixels.
+OUTLINE_ERROR = 0.5
 # A point this many cells from a contour, in such scales, belongs to no piece of it.
 REACH = 3.5
 LEAST_REACH = 4.0
@@ -78,6 +81,11 @@ class Comparison:
     contours: tuple[Contour, ...]
     surfaces: tuple[Surface, ...]  # of the views with a depth map
 
+    @cached_property
+    def outline(self) -> float:
+        """How exactly the masks show where their contours are, in cells."""
+        return max(EXACT, OUTLINE_ERROR * max(target.pixel for target in self.targets))
+
     @classmethod
     def of(cls, points: Array, views: Sequence[View]) -> Comparison:
         targets = tuple(Target.of(view, SIDE) for view in views)
@@ -111,7 +119,7 @@ class Comparison:
 
     def settled(self, placements: Placements, freedom: Freedom) -> tuple[Placements, Array]:
         """The placements as the contours and depth maps draw them, and their posteriors [P]."""
-        for scale in (NEARER, EXACT):
+        for scale in (max(NEARER, self.outline), self.outline):
             placements, value = improve(placements, self.exact(scale), freedom, STEPS)
         return placements, value
 
@@ -126,7 +134,7 @@ class Comparison:
         factor = self.surfaces[0].farther(self.points, placements)
         return placements.scaled_about(self.surfaces[0].target.camera.position, factor)
 
-    def missed(self, placements: Placements, scale: float = EXACT) -> Array:
+    def missed(self, placements: Placements) -> Array:
         """[P] the share of the contours that a cloud of infinitely many points would miss.
 
         The edge of few points lies inside that of the object. What it misses falls about as 1 / N,
@@ -134,14 +142,9 @@ class Comparison:
         """
         half = len(self.points) // 2
         halves = self.points[:half], self.points[half:]
-        of_halves = [self.contour(scale, some)(placements).value for some in halves]
-        share: Array = 2.0 * self.contour(scale)(placements).value - np.mean(of_halves, 0)
+        of_halves = [self.contour(self.outline, some)(placements).value for some in halves]
+        share: Array = 2.0 * self.contour(self.outline)(placements).value - np.mean(of_halves, 0)
         return np.clip(share, 0.0, 1.0)
-
-    def fits(self, placement: Placements) -> bool:
-        """Whether the cloud fits, as far as the pixels of the masks tell."""
-        pixel = max(target.pixel for target in self.targets)
-        return float(self.missed(placement, max(EXACT, pixel))[0]) < FITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +208,7 @@ def place_from(comparison: Comparison, freedom: Freedom) -> Found:
     """
     found = search_from(comparison, freedom)
     if found.given < FITS:
-        posterior = freedom.posterior(comparison.exact(EXACT))
+        posterior = freedom.posterior(comparison.exact(comparison.outline))
         gain = posterior(freedom.given).value - posterior(found.placement).value
         if gain < SIGNIFICANT:
             return Found(freedom.given, found.given, found.given)

@@ -161,6 +161,8 @@ def _ending(
     # The learned prior may have moved a cloud that no step improved.
     improved = optimised.best_step > 0 or (optimised.begun is not None and displacements.any())
     kept: StopReason | None = None if improved else "not_improved"
+    if kept and diagnosis.fits:
+        kept = "fits"
     if settings.smooth and problem.masks_alone:
         kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights.loss) or kept
     if kept:
@@ -175,7 +177,8 @@ def _ending(
             ious = _ious(problem, given, start)
         fits = float(np.mean([before for before, _ in of_shape]))
         trust = trust.limited(diagnosis, fits, fits)
-        if trust.verdict == "doubtful" and move.kind != "nothing" and not settings.accept_doubtful:
+        doubtful = trust.verdict == "doubtful" and move.kind != "nothing"
+        if (diagnosis.suspicious or doubtful) and not settings.accept_doubtful:
             return _refused(start, ious, trust)
         return _Ending(start, ious, trust, "unchanged", kept)
     unknown = _why_unknown(problem, optimised, settings)
@@ -298,9 +301,9 @@ def _stop_reason(optimised: Optimised, ending: _Ending, steps: int) -> StopReaso
     if optimised.interrupted:
         return "interrupted"
     kept = ending.stop_reason
-    if steps == 0 or not kept:
+    if not kept or (steps == 0 and kept != "fits"):
         return "max_steps"
-    return "nothing_to_do" if optimised.first_loss == 0.0 else kept
+    return "nothing_to_do" if optimised.first_loss == 0.0 and kept != "fits" else kept
 
 
 def _contradicted(inlier_weights: Sequence[float]) -> list[Finding]:

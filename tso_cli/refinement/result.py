@@ -21,6 +21,7 @@ StopReason = Literal[
     "non_finite",
     "nothing_to_do",
     "not_improved",
+    "fits",
     "doubtful",
 ]
 Outcome = Literal["moved", "unchanged", "refused"]
@@ -39,7 +40,8 @@ class Fit:
         optimisation began: a moved cloud with 0 is as the learned prior moved it.
     stop_reason : "max_steps". After "interrupted" (Ctrl-C) and "non_finite" (the loss became NaN or
         infinite) the best so far is kept. Where the result is the start: "nothing_to_do" (its loss
-        is 0), "not_improved" (no moved cloud was better) or "doubtful" (refused).
+        is 0), "fits" (it fits the contours), "not_improved" (no moved cloud was better) or
+        "doubtful" (refused).
     losses : the objective where the optimisation begins, and after every step.
     loss_before, loss_after : of the start and of the result; with the default preset in points
         mode without the position prior.

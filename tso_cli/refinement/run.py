@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 from ..cloud.cloud import ControlledCloud
-from ..diagnosis.examine import Diagnosis, NoOverlapError, examine
+from ..diagnosis.examine import Diagnosis, NoOverlapError, examine, explained
 from ..diagnosis.explain import Margin
 from ..diagnosis.placement import require_plane_through
 from ..diagnosis.verification import verify_hypotheses, verify_plane
@@ -16,6 +16,7 @@ from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import WeighedProblem, optimise, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
+from ..pose.causes import find_likely_move
 from ..pose.move import Move, unmoved
 from ..pose.placing import find_move
 from ..prior import named_prior
@@ -45,6 +46,7 @@ def run(
     move, scene = _moved(scene, cloud, settings, clock)
     with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)
+        diagnosis = explained(diagnosis, cloud.body, scene.views, move)
         if diagnosis.hidden:
             scene = scene.without(diagnosis.hidden)
             pairs = zip(given, scene.views, strict=True)
@@ -54,12 +56,13 @@ def run(
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
     diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
+    idle = diagnosis.fits or bool(diagnosis.of_input and not settings.accept_doubtful)
     begin = None
-    if weighed.field and settings.steps and prior is not None:
+    if weighed.field and settings.steps and prior is not None and not idle:
         of_start = weighed.problem, weighed.weights.loss, weighed.field
         begin = clock.attempt("move", partial(beginning, *of_start, prior), None)
     report = on_progress and _in_unit_of(problem.cloud, on_progress)
-    steps = 0 if clock.interrupted else settings.steps
+    steps = 0 if clock.interrupted or idle else settings.steps
     with clock.phase("optimise"):
         optimised, problem = optimise(weighed, settings, steps, network, begin, report)
     if clock.interrupted:
@@ -112,15 +115,18 @@ def _fitted(
 def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock) -> Move:
     """What moves as one first."""
     asked = settings.move
-    find = partial(find_move, cloud.body, scene.views, asked, settings.keep)
-    if asked == "shape":
-        return find()
-    move = clock.attempt("place", find, unmoved(scene.views, "interrupted"))
+    body, views, keep = cloud.body, scene.views, settings.keep
+    if asked == "shape" and not settings.smooth:
+        return unmoved(views, "the shape alone was asked for")
+    find = partial(find_move, body, views, asked, keep)
+    if asked in ("auto", "shape"):
+        find = partial(find_likely_move, body, views, keep, asked == "auto")
+    move = clock.attempt("place", find, unmoved(views, "interrupted"))
     if move.kind == "nothing" or move.why_unsure:
         return move
     with clock.phase("place"):
         as_given, moved = (
-            _examined_anyhow(one, cloud, settings) for one in (scene, scene.after(move))
+            _examined_anyhow(some, cloud, settings) for some in (scene, scene.after(move))
         )
     likelier = asked == "auto" or not move.explains
     for one in (*as_given.suspicious, *(as_given.weak if asked == "auto" else ())):

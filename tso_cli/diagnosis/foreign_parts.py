@@ -1,0 +1,139 @@
+"""Parts of a mask or a cloud that the other lacks, where the rest of both agrees.
+
+A hand, a stand, a cast shadow or a second object is in a mask; something in front hides a part of
+the object; or a cloud holds a floor. Then the cloud fits its masks as soon as they ignore the part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..evaluation.footprint import footprint
+from ..geometry.arrays import Array, Bits, Box
+from ..geometry.resampling import area_resize
+from ..geometry.view import View
+from ..pose.causes import EXPLAINED_WITHOUT_MOVING
+from ..pose.move import Body
+from ..pose.placement import Placements
+from ..pose.placing import Placing
+
+# Cells along the side of the square in which silhouette and mask are compared, and the side of the
+# square in longer sides of the cloud's box.
+CELLS, MARGIN = 96, 1.5
+# A part lies this many cells from what the other has, beyond a pixel of the mask.
+APART = 2.5
+# Smaller parts, in shares of the silhouette, are no parts.
+LEAST_SHARE = 0.01
+# Around a part the contour says nothing either, up to this many times `APART`.
+AROUND = 2.0
+# Points that are further out than this share, at both ends of both axes, do not count for the box.
+TAIL = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """What of one view does not belong together.
+
+    ignored : [H, W], pixels around the parts. in_mask, in_cloud : the areas of the parts that the
+    mask has and the cloud lacks, and the other way round, in silhouettes of the cloud.
+    """
+
+    ignored: Bits
+    in_mask: float
+    in_cloud: float
+
+
+def foreign_parts(points: Array, view: View) -> Parts | None:
+    """The parts of the mask that a cloud of ``points`` [N, 3] lacks, and of the cloud; or None."""
+    from scipy.ndimage import binary_dilation
+
+    box = _box_around(points, view)
+    camera = view.camera.cropped(box, CELLS, CELLS)
+    silhouette = footprint(points, camera)
+    shares = area_resize(view.mask, box, CELLS, CELLS, weights=view.known)
+    inside, known = (share > 0.5 for share in shares)
+    cells_a_pixel = CELLS / (box[2] - box[0])
+    apart = max(APART, cells_a_pixel)
+    if not silhouette.any():
+        return None
+    least = LEAST_SHARE * silhouette.sum()
+    in_mask, in_cloud = (
+        _large_parts(some & known & ~binary_dilation(other, _disc(apart)), least)
+        for some, other in ((inside, silhouette), (silhouette, inside))
+    )
+    around = binary_dilation(in_mask | in_cloud, _disc(AROUND * apart + 1.0))
+    ignored, beyond = _in_pixels(around, box, view)
+    beyond &= view.inside
+    if not (in_mask.any() or in_cloud.any() or beyond.any()):
+        return None
+    # Foreground beyond the square is far from the cloud.
+    area = float(silhouette.sum())
+    outside = beyond.sum() * cells_a_pixel**2
+    return Parts(ignored | beyond, float(in_mask.sum() + outside) / area, in_cloud.sum() / area)
+
+
+def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
+    """By number of the view, the parts without which a cloud fits its masks; {} if it does not."""
+    points = body.points
+    parts = {
+        number: part for number, view in enumerate(views) if (part := foreign_parts(points, view))
+    }
+    without = without_parts(views, parts) if parts else None
+    if without is None:
+        return {}
+    missed = float(Placing(body, tuple(without)).comparison.missed(Placements.unmoved())[0])
+    return parts if missed < EXPLAINED_WITHOUT_MOVING else {}
+
+
+def without_parts(views: Sequence[View], parts: Mapping[int, Parts]) -> list[View] | None:
+    """The views that ignore the ``parts``; None if one shows nothing then."""
+    changed = list(views)
+    for number, part in parts.items():
+        known = views[number].known
+        kept = np.ones_like(part.ignored) if known is None else known
+        try:
+            changed[number] = replace(views[number], known=kept & ~part.ignored)
+        except InputError:
+            return None
+    return changed
+
+
+def _box_around(points: Array, view: View) -> Box:
+    """The square around most of the projected points."""
+    pixels, _, visible = view.camera.project_visible(points)
+    low, high = np.quantile(pixels[visible], [TAIL, 1.0 - TAIL], axis=0)
+    middle, half = (low + high) / 2.0, MARGIN * max(float((high - low).max()), 2.0) / 2.0
+    (left, top), (right, bottom) = (middle - half).tolist(), (middle + half).tolist()
+    return left, top, right, bottom
+
+
+def _large_parts(cells: Bits, least: float) -> Bits:
+    """The connected parts of ``cells`` [C, C] with at least so many cells."""
+    from scipy.ndimage import label
+
+    parts, _ = label(cells, np.ones((3, 3)))
+    large = np.bincount(parts.ravel()) >= least
+    large[0] = False
+    return np.asarray(large[parts])
+
+
+def _disc(radius: float) -> Bits:
+    reach = int(np.ceil(radius))
+    across = np.arange(-reach, reach + 1)
+    return np.asarray(across[:, None] ** 2 + across**2 <= radius**2)
+
+
+def _in_pixels(cells: Bits, box: Box, view: View) -> tuple[Bits, Bits]:
+    """[H, W] the pixels in the ``cells`` [C, C] of the ``box``, and those outside the box."""
+    places = []
+    for count, start in zip(view.mask.shape, (box[1], box[0]), strict=True):
+        cell = np.rint((np.arange(count) - start) * CELLS / (box[2] - box[0]) - 0.5)
+        places.append(cell.astype(np.int64))
+    rows, columns = places[0][:, None], places[1]
+    within = (rows >= 0) & (rows < CELLS) & (columns >= 0) & (columns < CELLS)
+    clipped = (np.clip(some, 0, CELLS - 1) for some in (rows, columns))
+    return within & cells[tuple(clipped)], ~within

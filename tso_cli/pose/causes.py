@@ -1,0 +1,223 @@
+"""What may be wrong with cloud, cameras and masks, and what each of these causes explains.
+
+Every cause is a few unknowns of a placement. All are fitted to the contours of the masks, and
+compared by what the cloud misses of the contours then, plus a price for every unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from ..geometry.arrays import Array
+from ..geometry.view import View
+from .asked import Keep, Moved
+from .levenberg import Freedom, improve
+from .move import FITS, Body, Move, unmoved
+from .placement import (
+    ASPECT,
+    FOCAL,
+    GROWTH,
+    PRINCIPAL,
+    SHIFT,
+    SIZE,
+    STRETCH,
+    TURN,
+    UNKNOWNS,
+    Placements,
+)
+from .placing import Placing
+from .search import EXPLAINED, FROM_AFAR, LEFT, PROMISING_UNASKED, STEPS, search_from
+
+Name = Literal["shift", "pose", "focal-length", "aspect", "principal-point", "outline", "stretch"]
+OF_PLACE: tuple[Name, ...] = ("shift", "pose")
+# Standard deviations of what is given: radians, longest sides of the cloud, logarithms, longer
+# sides of the picture, pixels. A larger error is a mistake of another kind.
+DEVIATIONS = np.empty(UNKNOWNS)
+DEVIATIONS[TURN] = np.radians(12.0)
+DEVIATIONS[[SIZE, FOCAL, ASPECT]] = DEVIATIONS[SHIFT] = DEVIATIONS[STRETCH] = 0.12
+DEVIATIONS[PRINCIPAL] = 0.08
+DEVIATIONS[GROWTH] = 3.0
+# The most of these deviations that the default moves a cloud by.
+MOST_DEVIATIONS = 2.5
+# Smaller errors of a camera or a mask are those of a right one. They may explain a misfit, but then
+# the shape of the cloud is nearly right too.
+LEAST_CHANGE = {FOCAL: 0.03, ASPECT: 0.03, GROWTH: 0.5}
+LEAST_SHIFT_OF_PICTURE = 0.02
+# What of the contours an unknown must explain: with six more unknowns a cloud of a right shape and
+# place misses about six times as much less.
+PRICE = 0.01
+# Causes whose costs differ by less explain about as much.
+SIMILAR = 0.03
+# A camera or a mask explains a misfit if the cloud then misses less than these shares of the
+# contours, and of what it misses as given.
+EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING = 0.25, 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """Something that may be wrong.
+
+    unknowns : how many numbers were fitted. missed : share of the contours that the cloud misses if
+    this is mended. placement : how cloud, cameras and masks are then.
+    """
+
+    name: Name
+    unknowns: int
+    missed: float
+    placement: Placements
+
+    @property
+    def cost(self) -> float:
+        return self.missed + PRICE * self.unknowns
+
+    @property
+    def of_place(self) -> bool:
+        """Whether the cloud is mended, by moving as one."""
+        return self.name in OF_PLACE
+
+    @property
+    def change(self) -> Array:
+        """[17], the unknowns, counted from what was given."""
+        change: Array = self.placement.since(Placements.unmoved())[0]
+        return change
+
+    @property
+    def is_small(self) -> bool:
+        """Whether a right camera or mask may be as far off."""
+        if self.name == "principal-point":
+            return bool(np.linalg.norm(self.change[PRINCIPAL]) < LEAST_SHIFT_OF_PICTURE)
+        unknown = {"focal-length": FOCAL, "aspect": ASPECT, "outline": GROWTH}.get(self.name)
+        return unknown is not None and bool(abs(self.change[unknown]) < LEAST_CHANGE[unknown])
+
+
+def find_likely_move(
+    body: Body, views: Sequence[View], keep: Keep = "auto", may_move: bool = True
+) -> Move:
+    """The move that explains why a cloud does not fit its masks; nothing if it does not.
+
+    Nothing moves if the cloud fits, if its shape may be wrong, or if a camera or a mask explains
+    the misfit about as well: then the move has these `Move.causes`. ``may_move`` : whether the
+    place of the cloud, and of the cameras, may be wrong.
+    """
+    problem = Placing(body, tuple(views))
+    given = float(problem.comparison.missed(Placements.unmoved())[0])
+    if given < FITS:
+        return unmoved(views, "the cloud fits the contours where it is", given)
+    # Of size and distance, the distance stays: it is longer than the object, so that a wrong
+    # distance is a larger error than a wrong size.
+    keep = "distance" if keep == "auto" and not problem.both_found else keep
+    fitted = _fitted(problem, keep, may_move)
+    rivals = [cause for cause in fitted if _explains(cause, given)]
+    stretch = next(cause for cause in fitted if cause.name == "stretch")
+    if any(cause.of_place for cause in rivals):
+        # Pose and stretch are searched well only where it counts.
+        stretch = _searched(problem, stretch, problem.stretch)
+    rivals = [cause for cause in rivals if _is_simpler(cause, stretch)]
+    if not rivals:
+        why = problem.why_fixed or "no cause that is looked for explains the misfit"
+        return unmoved(views, why, given)
+    rivals.sort(key=lambda cause: cause.cost)
+    likely = [cause for cause in rivals if cause.cost < rivals[0].cost + SIMILAR]
+    if not all(cause.of_place for cause in likely):
+        why = "something else explains the misfit about as well"
+        return replace(unmoved(views, why, given), causes=tuple(likely))
+    first = likely[0]
+    kind: Moved = "shift" if first.name == "shift" else "pose"
+    return problem.moved(kind, first.placement, given, first.missed, keep)
+
+
+def _is_simpler(cause: Cause, stretch: Cause) -> bool:
+    """Whether a cause explains as much as a shape of other proportions.
+
+    A thin cloud that is turned looks much like one that is stretched, so a turn has no advantage.
+    """
+    return cause.missed <= stretch.missed if cause.of_place else cause.cost <= stretch.cost
+
+
+def _explains(cause: Cause, given: float) -> bool:
+    """Whether nearly nothing is left of what the cloud misses as ``given``."""
+    if cause.name == "stretch":
+        return False
+    most, left = EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING
+    if cause.of_place:
+        most, left = EXPLAINED, LEFT
+    likely = np.abs(cause.change / DEVIATIONS).max() <= MOST_DEVIATIONS
+    return cause.missed < min(most, left * given) and bool(likely) and not cause.is_small
+
+
+def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:
+    """All causes, fitted at once."""
+    unit = np.eye(UNKNOWNS)
+    bases: dict[Name, Array] = {
+        "outline": unit[:, [GROWTH]],
+        "stretch": problem.stretch.basis,
+    }
+    if may_move:
+        bases |= {
+            "focal-length": unit[:, [FOCAL]],
+            "aspect": unit[:, [ASPECT]],
+            "principal-point": unit[:, PRINCIPAL],
+        }
+    if may_move and problem.why_fixed is None:
+        bases |= {
+            "shift": problem.freedom("shift", keep)[0].basis,
+            "pose": problem.freedom("pose", keep)[0].basis,
+        }
+    most = max(basis.shape[1] for basis in bases.values())
+    padded = [np.pad(basis, ((0, 0), (0, most - basis.shape[1]))) for basis in bases.values()]
+    freedom = Freedom(np.stack(padded), Placements.unmoved(), DEVIATIONS)
+    comparison = problem.comparison
+    placements = _nearer(problem, Placements.unmoved(len(bases)), freedom, list(bases))
+    for scale in (FROM_AFAR, max(1.5, comparison.outline), comparison.outline):
+        placements, _ = improve(placements, comparison.exact(scale), freedom, STEPS)
+    missed = comparison.missed(placements)
+    causes = [
+        Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1])
+        for i, name in enumerate(bases)
+    ]
+    pose = next((cause for cause in causes if cause.name == "pose"), None)
+    explained = any(_explains(c, 1.0) for c in causes if not c.of_place)
+    if pose is not None and not explained:
+        causes[causes.index(pose)] = _searched(problem, pose, problem.freedom("pose", keep)[0])
+    return causes
+
+
+def _nearer(
+    problem: Placing, placements: Placements, freedom: Freedom, names: list[Name]
+) -> Placements:
+    """The placements, with cameras as the boxes of cloud and masks would have them, if nearer."""
+    step = np.zeros((len(placements), UNKNOWNS))
+    moved, zoomed = _by_boxes(problem)
+    for number, name in enumerate(names):
+        if name == "principal-point":
+            step[number, PRINCIPAL] = moved
+        if name == "focal-length":
+            step[number, FOCAL] = zoomed
+    stepped = placements.stepped(step)
+    misfit = problem.comparison.exact(FROM_AFAR)
+    nearer = misfit(stepped).value < misfit(placements).value
+    return placements.replaced(nearer, stepped[nearer])
+
+
+def _by_boxes(problem: Placing) -> tuple[Array, float]:
+    """By how much the masks are shifted against the cloud, in pictures, and larger (logarithm)."""
+    moved, zoomed = [], []
+    for target in problem.comparison.targets:
+        seen = target.project(problem.points, Placements.unmoved()).px[0]
+        boxes = [(places.min(0), places.max(0)) for places in (seen, target.cells) if len(places)]
+        (low, high), (first, last) = boxes
+        moved.append((first + last - low - high) / 2.0 / target.picture)
+        zoomed.append(np.log((last - first).max() / max(float((high - low).max()), 1e-9)))
+    return np.mean(moved, 0), float(np.mean(zoomed))
+
+
+def _searched(problem: Placing, cause: Cause, freedom: Freedom) -> Cause:
+    """The cause, with less missed if a search from several starts leaves less."""
+    best = search_from(problem.comparison, freedom, PROMISING_UNASKED)
+    if best.missed >= cause.missed:
+        return cause
+    return Cause(cause.name, cause.unknowns, best.missed, best.placement)
