@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..errors import InputError
-from ..evaluation.footprint import footprint
+from ..evaluation.footprint import footprint, nearest_cell
 from ..geometry.arrays import Array, Bits, Box
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
@@ -26,7 +27,7 @@ from ..pose.placing import Placing
 CELLS, MARGIN = 96, 1.5
 # A part lies this many cells from what the other has, beyond a pixel of the mask.
 APART = 2.5
-# Smaller parts, in shares of the silhouette, are no parts.
+# Smaller parts, in shares of the silhouette, are none.
 LEAST_SHARE = 0.01
 # Around a part the contour says nothing either, up to this many times `APART`.
 AROUND = 2.0
@@ -49,8 +50,6 @@ class Parts:
 
 def foreign_parts(points: Array, view: View) -> Parts | None:
     """The parts of the mask that a cloud of ``points`` [N, 3] lacks, and of the cloud; or None."""
-    from scipy.ndimage import binary_dilation
-
     box = _box_around(points, view)
     camera = view.camera.cropped(box, CELLS, CELLS)
     silhouette = footprint(points, camera)
@@ -62,18 +61,18 @@ def foreign_parts(points: Array, view: View) -> Parts | None:
         return None
     least = LEAST_SHARE * silhouette.sum()
     in_mask, in_cloud = (
-        _large_parts(some & known & ~binary_dilation(other, _disc(apart)), least)
+        _large_parts(some & known & ~_dilated(other, apart), least)
         for some, other in ((inside, silhouette), (silhouette, inside))
     )
-    around = binary_dilation(in_mask | in_cloud, _disc(AROUND * apart + 1.0))
+    around = _dilated(in_mask | in_cloud, AROUND * apart + 1.0)
     ignored, beyond = _in_pixels(around, box, view)
     beyond &= view.inside
-    if not (in_mask.any() or in_cloud.any() or beyond.any()):
-        return None
     # Foreground beyond the square is far from the cloud.
-    area = float(silhouette.sum())
-    outside = beyond.sum() * cells_a_pixel**2
-    return Parts(ignored | beyond, float(in_mask.sum() + outside) / area, in_cloud.sum() / area)
+    area, outside = float(silhouette.sum()), beyond.sum() * cells_a_pixel**2
+    of_mask, of_cloud = float(in_mask.sum() + outside) / area, float(in_cloud.sum()) / area
+    if of_mask + of_cloud == 0.0:
+        return None
+    return Parts(ignored | beyond, of_mask, of_cloud)
 
 
 def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
@@ -113,18 +112,26 @@ def _box_around(points: Array, view: View) -> Box:
 
 def _large_parts(cells: Bits, least: float) -> Bits:
     """The connected parts of ``cells`` [C, C] with at least so many cells."""
-    from scipy.ndimage import label
-
-    parts, _ = label(cells, np.ones((3, 3)))
-    large = np.bincount(parts.ravel()) >= least
+    # Every cell takes the largest number of its neighbours until all of a part have one number.
+    number = np.where(cells, np.arange(1, cells.size + 1).reshape(cells.shape), 0)
+    while True:
+        padded = np.pad(number, 1)
+        largest = sliding_window_view(padded, (3, 3)).max((2, 3)) * cells
+        if (largest == number).all():
+            break
+        number = largest
+    large = np.bincount(number.ravel()) >= least
     large[0] = False
-    return np.asarray(large[parts])
+    return np.asarray(large[number])
 
 
-def _disc(radius: float) -> Bits:
-    reach = int(np.ceil(radius))
-    across = np.arange(-reach, reach + 1)
-    return np.asarray(across[:, None] ** 2 + across**2 <= radius**2)
+def _dilated(cells: Bits, radius: float) -> Bits:
+    """The cells [C, C] within a ``radius``, in cells, of some of the ``cells``."""
+    index = nearest_cell(cells, int(np.ceil(radius)))
+    row, column = np.indices(cells.shape)
+    nearest_row, nearest_column = np.divmod(index, cells.shape[1])
+    squared = (nearest_row - row) ** 2 + (nearest_column - column) ** 2
+    return np.asarray((index >= 0) & (squared <= radius**2))
 
 
 def _in_pixels(cells: Bits, box: Box, view: View) -> tuple[Bits, Bits]:

@@ -188,7 +188,7 @@ def footprint(points: Array, camera: Camera) -> Bits:
     row, column = (np.arange(count, dtype=np.float32) for count in number.shape)
     row = row[:, None]
 
-    point = number.ravel()[_nearest(number >= 0, border)]
+    point = number.ravel()[nearest_cell(number >= 0, border)]
     beyond = np.hypot(x[point] - column, y[point] - row) - radius[point]
     # The point in the nearest cell may not be the nearest point. Near the edge the points found by
     # the adjacent cells are tried too.
@@ -198,7 +198,7 @@ def footprint(points: Array, camera: Camera) -> Bits:
         beyond[edge] = np.minimum(
             beyond[edge], np.hypot(x[adjacent] - edge[1], y[adjacent] - edge[0]) - radius[adjacent]
         )
-    outside = _nearest(beyond > 0.0, border)
+    outside = nearest_cell(beyond > 0.0, border)
     # The nearest cell outside lies ``beyond`` the edge of the discs.
     rows, columns = np.divmod(outside, number.shape[1])
     depth_inside = np.hypot(columns - column, rows - row) - beyond.ravel()[outside]
@@ -211,7 +211,7 @@ def footprint(points: Array, camera: Camera) -> Bits:
     return silhouette
 
 
-def _nearest(cells: Bits, within: int) -> NDArray[np.signedinteger]:
+def nearest_cell(cells: Bits, within: int) -> NDArray[np.signedinteger]:
     """Flat index [H, W] of the nearest of ``cells`` [H, W].
 
     It is -1 where no cell is ``within`` this many rows and columns.

@@ -30,7 +30,7 @@ from .placement import (
     Placements,
 )
 from .placing import Placing
-from .search import EXPLAINED, FROM_AFAR, LEFT, PROMISING_UNASKED, STEPS, search_from
+from .search import EXPLAINED, FROM_AFAR, LEFT, NEARER, PROMISING_UNASKED, search_from
 
 Name = Literal["shift", "pose", "focal-length", "aspect", "principal-point", "outline", "stretch"]
 OF_PLACE: tuple[Name, ...] = ("shift", "pose")
@@ -43,6 +43,8 @@ DEVIATIONS[PRINCIPAL] = 0.08
 DEVIATIONS[GROWTH] = 3.0
 # The most of these deviations that the default moves a cloud by.
 MOST_DEVIATIONS = 2.5
+# Steps of each descent; a search that looks promising has more.
+FEW_STEPS = 8
 # Smaller errors of a camera or a mask are those of a right one. They may explain a misfit, but then
 # the shape of the cloud is nearly right too.
 LEAST_CHANGE = {FOCAL: 0.03, ASPECT: 0.03, GROWTH: 0.5}
@@ -110,7 +112,7 @@ def find_likely_move(
     # Of size and distance, the distance stays: it is longer than the object, so that a wrong
     # distance is a larger error than a wrong size.
     keep = "distance" if keep == "auto" and not problem.both_found else keep
-    fitted = _fitted(problem, keep, may_move)
+    fitted = _fitted(problem, given, keep, may_move)
     rivals = [cause for cause in fitted if _explains(cause, given)]
     stretch = next(cause for cause in fitted if cause.name == "stretch")
     if any(cause.of_place for cause in rivals):
@@ -149,7 +151,7 @@ def _explains(cause: Cause, given: float) -> bool:
     return cause.missed < min(most, left * given) and bool(likely) and not cause.is_small
 
 
-def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:
+def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[Cause]:
     """All causes, fitted at once."""
     unit = np.eye(UNKNOWNS)
     bases: dict[Name, Array] = {
@@ -172,8 +174,8 @@ def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:
     freedom = Freedom(np.stack(padded), Placements.unmoved(), DEVIATIONS)
     comparison = problem.comparison
     placements = _nearer(problem, Placements.unmoved(len(bases)), freedom, list(bases))
-    for scale in (FROM_AFAR, max(1.5, comparison.outline), comparison.outline):
-        placements, _ = improve(placements, comparison.exact(scale), freedom, STEPS)
+    for scale in (FROM_AFAR, max(NEARER, comparison.outline), comparison.outline):
+        placements, _ = improve(placements, comparison.exact(scale), freedom, FEW_STEPS)
     missed = comparison.missed(placements)
     causes = [
         Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1])
@@ -181,7 +183,7 @@ def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:
     ]
     pose = next((cause for cause in causes if cause.name == "pose"), None)
     explained = any(_explains(c, 1.0) for c in causes if not c.of_place)
-    if pose is not None and not explained:
+    if pose is not None and not explained and pose.missed < PROMISING_UNASKED[0] * given:
         causes[causes.index(pose)] = _searched(problem, pose, problem.freedom("pose", keep)[0])
     return causes
 
