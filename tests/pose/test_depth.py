@@ -10,9 +10,9 @@ from tso_cli import Camera, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.meshes import read_mesh
+from tso_cli.pose.causes import find_move
 from tso_cli.pose.depth import DepthMisfit, Surface
 from tso_cli.pose.placement import UNKNOWNS, Placements
-from tso_cli.pose.placing import find_move
 from tso_cli.pose.target import Target
 from tso_cli.render import RayScene, RenderSettings, look_at
 from tso_cli.render.folder import ground_truth, normalise

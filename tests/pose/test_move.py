@@ -17,7 +17,7 @@ from tso_cli.geometry.points import sample_surface
 from tso_cli.geometry.rotations import angle_between, from_vectors
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.meshes import Mesh, read_mesh
-from tso_cli.pose.placing import find_move
+from tso_cli.pose.causes import find_move
 from tso_cli.render import RayScene, RenderSettings, look_at, render_view
 from tso_cli.render.folder import ground_truth, normalise
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..geometry.arrays import Array
 from ..geometry.view import View
-from .asked import Keep, Moved
+from .asked import Asked, Keep, Moved
 from .levenberg import Freedom, improve
 from .move import FITS, Body, Move, unmoved
 from .placement import (
@@ -29,7 +29,7 @@ from .placement import (
     UNKNOWNS,
     Placements,
 )
-from .placing import Placing
+from .placing import Placing, find_asked_move
 from .search import EXPLAINED, FROM_AFAR, LEFT, NEARER, PROMISING_UNASKED, search_from
 
 Name = Literal["shift", "pose", "focal-length", "aspect", "principal-point", "outline", "stretch"]
@@ -94,6 +94,15 @@ class Cause:
             return bool(np.linalg.norm(self.change[PRINCIPAL]) < LEAST_SHIFT_OF_PICTURE)
         unknown = {"focal-length": FOCAL, "aspect": ASPECT, "outline": GROWTH}.get(self.name)
         return unknown is not None and bool(abs(self.change[unknown]) < LEAST_CHANGE[unknown])
+
+
+def find_move(
+    body: Body, views: Sequence[View], asked: Asked = "auto", keep: Keep = "auto"
+) -> Move:
+    """What moves of what was ``asked`` for; with "auto" and "shape" as `find_likely_move`."""
+    if asked == "auto" or asked == "shape":
+        return find_likely_move(body, views, keep, asked == "auto")
+    return find_asked_move(body, views, asked, keep)
 
 
 def find_likely_move(

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from ..geometry.arrays import Array
 from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
-from .asked import Asked, Keep, Moved
+from .asked import Keep, Moved
 from .everywhere import same_by_symmetry, search_everywhere, spacing, spread_points
 from .levenberg import Freedom
 from .move import MOST_DEGREES, Body, Move, unmoved
@@ -46,18 +47,16 @@ OTHER_UNITS = 5.0
 BRINGS_LITTLE = 0.1
 
 
-def find_move(body: Body, views: Sequence[View], asked: Asked, keep: Keep = "auto") -> Move:
-    """What moves, of what was ``asked`` for.
+def find_asked_move(
+    body: Body, views: Sequence[View], asked: Literal["pose", "similarity", "camera"], keep: Keep
+) -> Move:
+    """The move of the kind that was ``asked`` for.
 
-    "camera" : each camera by itself. "shape" : nothing. Else the cloud stands where the masks would
-    have it, near where it was given, or anywhere if it does not fit there.
+    "camera" : each camera by itself. Else the cloud stands where the masks would have it, near
+    where it was given, or anywhere if it does not fit there.
     """
-    if asked == "shape":
-        return unmoved(views, "the shape alone was asked for")
     problem = Placing(body, tuple(views))
-    if asked == "camera":
-        return problem.of_cameras()
-    return problem.asked("similarity" if asked == "similarity" else "pose", keep)
+    return problem.of_cameras() if asked == "camera" else problem.asked(asked, keep)
 
 
 def _why_unsure(best: Move, others: Sequence[Move]) -> str:

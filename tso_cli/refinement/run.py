@@ -16,9 +16,8 @@ from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import WeighedProblem, optimise, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
-from ..pose.causes import find_likely_move
+from ..pose.causes import find_move
 from ..pose.move import Move, unmoved
-from ..pose.placing import find_move
 from ..prior import named_prior
 from .clock import Clock
 from .depth_maps import fit_maps, move_with_maps
@@ -119,8 +118,6 @@ def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock:
     if asked == "shape" and not settings.smooth:
         return unmoved(views, "the shape alone was asked for")
     find = partial(find_move, body, views, asked, keep)
-    if asked in ("auto", "shape"):
-        find = partial(find_likely_move, body, views, keep, asked == "auto")
     move = clock.attempt("place", find, unmoved(views, "interrupted"))
     if move.kind == "nothing" or move.why_unsure:
         return move
