@@ -339,12 +339,10 @@ class RefineReport:
     def _symmetry(self) -> str | None:
         if not self.result.fit.steps:
             return None
-        masks = "mask contradicts" if len(self.result.views) == 1 else "masks contradict"
         return {
             "used": "assumed mirror-symmetric, as the cloud is",
             "given": "assumed mirror-symmetric, about the given plane",
             "none_found": "no mirror symmetry assumed: the cloud has none",
-            "contradicted": f"no mirror symmetry assumed: the {masks} it",
             # Only the default preset in points mode assumes symmetry by default.
             "not_asked": "no mirror symmetry assumed, as asked"
             if self.result.settings.smooth

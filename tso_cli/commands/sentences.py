@@ -216,8 +216,7 @@ def why_unmoved(result: RefineResult) -> str | None:
         "non_finite": f"the loss was not a number after step {fit.steps}, and no loss before was "
         "lower than the loss of the start",
         "nothing_to_do": f"the cloud already agrees with all that {masks}",
-        "not_improved": f"none of {fit.steps} steps agrees better with what {masks} than the start "
-        "does",
+        "not_improved": f"nothing that {masks} asks for another shape",
     }[fit.stop_reason]
 
 

@@ -60,8 +60,6 @@ REASONS = {
     "motion": "the points moved far, or without their neighbours",
     "prior": "the learned prior is unsure of this object",
     "misfit": "the cloud does not fit the mask afterwards",
-    "symmetry": "the cloud is mirror-symmetric, but no mirror-symmetric object fits the mask; is "
-    "the camera right?",
     "evidence": "few masks, or a plain outline, show little of the shape",
 }
 FINDING = "finding"
@@ -208,7 +206,6 @@ def features_of(problem: Problem, optimised: Optimised, diagnosis: Diagnosis) ->
         "misfit: outside": float(np.mean([_outside(best, view) for view in views])),
         "input: findings": 0.0 if diagnosis.outvoted else float(len(diagnosis.suspicious)),
         "evidence: border": _log(np.mean([_border(view.target.inside) for view in views])),
-        "symmetry: contradicted": float(problem.symmetry.outcome == "contradicted"),
         "evidence: views": _log(len(views)),
     }
 
