@@ -193,7 +193,7 @@ def features_of(problem: Problem, optimised: Optimised, diagnosis: Diagnosis) ->
     """
     start, best = problem.cloud.start, optimised.best
     begun = optimised.begun
-    assert begun is not None, "a confidence is of a displacement field"
+    assert begun is not None, "a confidence is of the default preset"
     moved, views = best - start, [windowed.resampled for windowed in problem.given]
     across = np.concatenate([(moved @ view.camera.R.T)[:, :2] for view in views])
     of_prior = {} if begun.sureness is None else {"prior: sureness": begun.sureness}

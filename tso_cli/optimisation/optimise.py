@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry.arrays import Array
+from ..geometry.arrays import Array, Indices
 from ..losses.chamfer import ChamferToStart
+from ..losses.nearest import nearest_few
 from ..losses.photometric import Photo, PhotometricTerm
 from .adam import Adam
 from .learned_start import Beginning
@@ -19,6 +20,9 @@ from .presets import BEST_POINTS, PRIOR_WEIGHT
 from .problem import Problem
 from .settings import Settings
 from .view_weights import ViewWeights
+
+# Points that move alike by a photo: the detail of one point alone fits many places.
+NEIGHBOURS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,15 +115,28 @@ class _Times:
         return self.weight * value, self.weight * gradient
 
 
+@dataclass(frozen=True, eq=False)
+class _Smoothed:
+    """A term whose gradient is averaged twice over the points ``near`` [N, k] each point."""
+
+    term: Term
+    near: Indices
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        value, gradient = self.term(points)
+        return value, gradient[self.near].mean(1)[self.near].mean(1)
+
+
 def _photometric(problem: Problem, weights: Sequence[float], points: Array) -> list[Term]:
     """The terms of the photos of the given views at ``points``, if the cloud has colours."""
     if problem.cloud.colours is None:
         return []
     colours = np.asarray(problem.cloud.colours, dtype=np.float64)
+    near = nearest_few(points, points, min(NEIGHBOURS, len(points)))
     terms: list[Term] = []
     for windowed, weight in zip(problem.given, weights, strict=True):
         view = windowed.resampled
         if view.image is not None:
             photo = Photo(view.image, view.target.inside, view.camera, weight)
-            terms.append(PhotometricTerm.at(photo, colours, points))
+            terms.append(_Smoothed(PhotometricTerm.at(photo, colours, points), near))
     return terms

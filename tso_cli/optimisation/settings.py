@@ -42,5 +42,5 @@ class Settings:
 
     @property
     def smooth(self) -> bool:
-        """Whether a smooth displacement field moves points: the default preset in points mode."""
+        """Whether the default preset moves points."""
         return self.preset == "best" and self.mode == "points"

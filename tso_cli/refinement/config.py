@@ -35,8 +35,7 @@ class RefineConfig:
     mode : what is optimised: "points", "encoder" or "encoder-decoder" (the network's weights), or
         "latent" (the vector of 128 numbers between encoder and decoder).
     steps : of the optimiser; 0 returns the start.
-    learning_rate : for a cloud of longest side 1. With "best" in points mode it is the
-        largest change of a node's vector in the first step; else it is Adam's.
+    learning_rate : of Adam, for a cloud of longest side 1.
     gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1; with
         preset "paper".
     sigma_sq : variance of the projection's Gaussian in squared cells of a window of 64; with preset
@@ -161,7 +160,7 @@ class RefineConfig:
 
     @property
     def _smooth(self) -> bool:
-        """Whether a smooth displacement is optimised, as `Settings.smooth`."""
+        """As `Settings.smooth`."""
         return self.preset == "best" and self.mode == "points"
 
     def settings(self, views: int = 1) -> Settings:
