@@ -113,9 +113,9 @@ def _draw_boxes(axes: Axes) -> None:
     steps = (
         ("examine", "do cloud, masks and\ncameras belong together?\nfindings are reported"),
         ("prepare", "control points, windows,\nweights of the views,\nmirror plane"),
-        ("verify", "short optimisations test\nthe mirror plane and\nweak hypotheses"),
+        ("verify", "short optimisations test\nweak hypotheses"),
         ("move", "the learned prior moves\nthe start to a likely shape\nthat the masks show"),
-        ("optimise", "a smooth displacement\nmakes points and masks\nagree"),
+        ("optimise", "steps of the points make\npoints and masks agree"),
         ("judge", "confidence and verdict:\ntake the displacement\nor leave it"),
     )
     # Of a box, and from the left of a box to the left of the next.

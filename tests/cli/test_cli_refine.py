@@ -17,7 +17,7 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io import shipped as shipped_files
 from tso_cli.io.checkpoints import read_metadata
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.optimisation.objective import MaskChamferObjective
+from tso_cli.optimisation.objective import ViewTargets
 
 from .conftest import save_untrained
 
@@ -50,7 +50,7 @@ def test_four_lines_say_what_was_written_how_well_it_agrees_how_far_it_moved_and
         r"assumed mirror-symmetric, as the cloud is; \d+\.\d s",
         lines[3],
     )
-    assert 0.0 < np.abs(refined("initial.refined.ply") - refined("initial.ply")).max() < 0.3
+    assert 0.0 < np.abs(refined("initial.refined.ply") - refined("initial.ply")).max() < 0.35
 
 
 def test_json_is_one_document_with_all_promised_entries(folder, refine):
@@ -287,7 +287,7 @@ def test_the_shipped_network_is_small_view_aligned_and_refines_the_examples(fold
     assert config.frame == "view"
     assert config.points == 1024
     document = refine(
-        "--mode", "latent", "image.png", "mask.png", "--steps", "10", "--json"
+        "--mode", "latent", "image.png", "mask.png", "--steps", "30", "--json"
     ).document
     assert document["points"] == 1024
     assert document["iou_after"] > document["iou_before"] > 0.3
@@ -341,17 +341,17 @@ def test_a_canonical_frame_network_needs_a_camera_file(folder, refine):
 
 
 def test_an_interrupt_writes_the_best_so_far(folder, refine, monkeypatch):
-    calls, true_call = iter(range(100)), MaskChamferObjective.__call__
+    calls, true_call = iter(range(100)), ViewTargets.loss
 
     def interrupted(self, points):
-        if next(calls) == 12:  # five for the start and the learned prior
+        if next(calls) == 12:  # three for the learned prior
             raise KeyboardInterrupt
         return true_call(self, points)
 
-    monkeypatch.setattr(MaskChamferObjective, "__call__", interrupted)
-    run = refine(*POINTS, *PLAIN)
+    monkeypatch.setattr(ViewTargets, "loss", interrupted)
+    run = refine(*POINTS, *PLAIN, "--steps", 20)
     assert run.code == 130
-    assert "interrupted at step 6 of 20: the result is the best so far" in run.err
+    assert "interrupted at step 8 of 20: the result is the best so far" in run.err
     assert Path("initial.refined.ply").exists()
 
 
@@ -380,7 +380,9 @@ BAD = {
     "output of another format": ("", "POINTS -o out.obj", "out.obj .ply"),
     "negative steps": ("", "POINTS --steps -3", "steps -3"),
     "gamma no number": ("", "POINTS --gamma nan", "gamma"),
-    "sigma huge": ("", "POINTS --sigma-sq 1e5", "sigma_sq 256"),
+    "gamma of the paper": ("", "POINTS --gamma 1", "--gamma is for preset paper, found best"),
+    "sigma of the paper": ("", "POINTS --sigma-sq 1", "--sigma-sq is for preset paper, found best"),
+    "sigma huge": ("", "POINTS --preset paper --sigma-sq 1e5", "sigma_sq 256"),
     "overlay over the mask": ("", "POINTS --overlay mask.png --overwrite", "mask.png input"),
     "no mask given": ("", "initial.ply", "MASK"),
     "unknown device": ("", "POINTS --device warp", "warp"),

@@ -139,11 +139,11 @@ def test_strict_writes_nothing_of_an_unsure_camera(folder, refine, tmp_path):
 
 
 def test_strict_writes_nothing_without_a_confidence(folder, refine, tmp_path):
-    np.save("depth.npy", np.where(read_mask("mask.png") > 0.5, 2.0, 0.0))
-    run = refine(*POINTS, "--strict", "--steps", "7", "-o", "strict.ply")
+    np.save("few.npy", read_cloud("initial.ply").points[:15])
+    run = refine("few.npy", *POINTS[1:], "--strict", "-o", "strict.ply")
     assert run.code == 3
-    expected = "the result is without confidence: 7 steps are too few; with --strict nothing is"
-    assert f"initial.ply: {expected}" in run.err
+    expected = "the result is without confidence: 15 points are too few; with --strict nothing is"
+    assert f"few.npy: {expected}" in run.err
     assert not list(tmp_path.glob("**/strict*"))
 
 

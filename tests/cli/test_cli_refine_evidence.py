@@ -131,7 +131,7 @@ def test_an_image_brings_a_cloud_nearer_and_its_colours_stay(painted, refine):
     truth = sheet(2.0)[0]
     moved = np.stack([read_cloud(name).points for name in ("image.ply", "mask.ply")])
     with_image, without = np.linalg.norm(moved - truth, axis=2).mean(1)
-    assert with_image < 0.5 * without
+    assert with_image < 0.7 * without
     assert np.array_equal(read_cloud("image.ply").colours(), read_cloud("cloud.ply").colours())
 
 

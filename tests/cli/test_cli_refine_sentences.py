@@ -245,7 +245,7 @@ def kept(result: RefineResult, stop_reason: str, outcome: str = "unchanged") -> 
         ("interrupted", "interrupted at step 6, before one lowered the loss"),
         ("non_finite", "the loss was not a number after step 6, and no loss before was lower"),
         ("nothing_to_do", "the cloud already agrees with all that the mask shows"),
-        ("not_improved", "none of 6 steps agrees better with what the mask shows than the start"),
+        ("not_improved", "nothing that the mask shows asks for another shape"),
     ],
 )
 def test_why_nothing_moved(moved, stop_reason, why):

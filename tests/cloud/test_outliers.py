@@ -42,7 +42,7 @@ def test_an_outlier_at_any_distance_changes_no_bit_of_the_other_points(name, siz
 
 
 @NAMES
-def test_a_fifth_of_outliers_changes_the_other_points_by_under_two_percent(name):
+def test_a_fifth_of_outliers_changes_the_other_points_by_under_three_percent(name):
     scene, rng = example(name), np.random.default_rng(0)
     size, count = np.ptp(scene.points, axis=0).max(), len(scene.points)
     noise = scene.points.mean(0) + size * rng.uniform(-2.5, 2.5, (count // 5, 3))
@@ -52,7 +52,7 @@ def test_a_fifth_of_outliers_changes_the_other_points_by_under_two_percent(name)
     assert with_outlier.outliers.sum() > 0.95 * len(noise)
     held = np.linalg.norm(with_outlier.points[count:] - noise, axis=1) == 0.0
     np.testing.assert_array_equal(held, with_outlier.outliers[count:])
-    assert np.linalg.norm(with_outlier.points[:count] - alone.points, axis=1).mean() < 0.02 * size
+    assert np.linalg.norm(with_outlier.points[:count] - alone.points, axis=1).mean() < 0.03 * size
 
 
 def test_no_point_of_the_examples_is_an_outlier():

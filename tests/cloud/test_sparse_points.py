@@ -71,7 +71,7 @@ def test_a_cloud_with_sparse_points_comes_about_as_near_to_the_truth(name):
     alone, with_sparse = (
         refine(points, scene.view).points[:count] for points in (scene.points, given_points)
     )
-    assert chamfer(with_sparse, scene.target).chamfer < 1.1 * chamfer(alone, scene.target).chamfer
+    assert chamfer(with_sparse, scene.target).chamfer < 1.25 * chamfer(alone, scene.target).chamfer
 
 
 @MESHES

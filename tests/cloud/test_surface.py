@@ -13,7 +13,7 @@ from tests.corruption import assert_refused
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.cloud.control_points import CONTROL_POINTS
-from tso_cli.cloud.smooth_field import INTERPOLATED_FROM, falling_weights
+from tso_cli.cloud.interpolation import INTERPOLATED_FROM, falling_weights
 from tso_cli.cloud.surface import RIDGE, SOLVED, Surface, SurfaceSamples
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.evaluation.footprint import common_window, window_iou
@@ -71,7 +71,7 @@ def test_a_box_is_stretched_to_a_wider_mask_further_than_its_corners_alone_and_s
     size = np.ptp(stretched.points, axis=0) / np.ptp(CORNERS, axis=0)
     # A pixel of the masks is a thirtieth of the width.
     assert 1.08 < size[0] < 1.2 + 1 / 30
-    assert abs(size[1] - 1.0) < 0.06
+    assert abs(size[1] - 1.0) < 0.08
     # No mask shows the depth: the learned prior lets it grow along, less than the width.
     assert 0.94 < size[2] < size[0]
     # Each corner lies where three sides of a box meet.

@@ -22,7 +22,6 @@ from tso_cli.diagnosis.confidence import (
 )
 from tso_cli.diagnosis.examine import Diagnosis, examine
 from tso_cli.diagnosis.findings import Finding
-from tso_cli.diagnosis.verification import verify_plane
 from tso_cli.optimisation.learned_start import beginning
 from tso_cli.optimisation.optimise import optimise, weigh
 from tso_cli.optimisation.problem import prepare
@@ -247,7 +246,7 @@ def test_alternatives_are_joined_by_or_and_findings_of_views_are_listed(about, f
 def test_the_model_knows_every_feature(right):
     _, terms = _model()
     assert set(terms) == set(right.trust.features)
-    assert len(terms) == 10
+    assert len(terms) == 9
     assert {name.split(":")[0] for name in terms} == {*REASONS, "input"}
     assert all(deviation > 0.0 for _, deviation, _ in terms.values())
 
@@ -338,15 +337,13 @@ def _judged(diagnosis: Diagnosis, inlier_weight: float = 1.0) -> RefineResult:
     found = examine(cloud, scene.read, scene.views)
     diagnosis = replace(diagnosis, explanation=found.explanation)
     weighed = weigh(prepare(cloud, scene.views, settings), settings)
-    verified = verify_plane(weighed.problem, weighed.weights.loss, weighed.field)
-    weighed = replace(weighed, problem=verified)
     prior = named_prior(settings.prior)
-    begin = beginning(verified, weighed.weights.loss, weighed.field, prior)
-    optimised, problem = optimise(weighed, settings, settings.steps, begin=begin)
+    begin = beginning(weighed.problem, weighed.weights.loss, prior)
+    optimised = optimise(weighed, settings, settings.steps, begin=begin)
     still = unmoved(scene.views)
     weights = replace(weighed.weights, inlier=[inlier_weight])
     weighed = replace(weighed, weights=weights)
-    return judge(weighed, problem, optimised, scene.views, still, diagnosis, settings, seconds={})
+    return judge(weighed, optimised, scene.views, still, diagnosis, settings, seconds={})
 
 
 def test_a_result_of_suspicious_input_is_never_called_an_improvement():
@@ -384,13 +381,10 @@ def test_so_has_a_result_of_the_papers_preset():
     assert (wrong.points == wrong.initial).all()
 
 
-def test_without_a_confidence_wrong_input_is_doubtful_and_right_input_has_a_reason():
-    config = RefineConfig(steps=6)
-    wrong = refine(CHAIR.points, INVERTED, config=config).trust
+def test_wrong_input_is_doubtful():
+    wrong = refine(CHAIR.points, INVERTED).trust
     assert wrong.verdict == "doubtful"
     assert "the mask is inverted" in wrong.says
-    right = refine(CHAIR.points, CHAIR.view, config=config).trust
-    assert right == Trust(None, None, "steps", "6 steps are too few")
 
 
 def test_a_result_of_few_points_has_no_confidence():

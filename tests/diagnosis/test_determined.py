@@ -11,20 +11,18 @@ from hypothesis import strategies as st
 from tests import oracles
 from tests.scenes import example, problem_of, seen, turned
 from tso_cli import Camera, RefineConfig, refine
-from tso_cli.cloud.smooth_field import SmoothField
 from tso_cli.diagnosis.best_view import DIRECTIONS, around, expected_share
-from tso_cli.diagnosis.determined import Evidence, contour, normal_blocks
+from tso_cli.diagnosis.determined import NEIGHBOURS, ROBUST_SCALE, Evidence, contour, normal_blocks
 from tso_cli.evaluation.footprint import footprint
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.losses.depth import DepthTarget
 from tso_cli.losses.mask_chamfer import MaskTarget
 from tso_cli.optimisation.objective import ViewTarget
-from tso_cli.optimisation.presets import BEST
+from tso_cli.optimisation.presets import PRIOR_WEIGHT
 
 CHAIR = example("chair")
 CAMERA = Camera.canonical(64, 64)
 FLAT = replace(CAMERA, K=CAMERA.K @ np.diag([0.5, 0.5, 1.0]), model="orthographic")
-R = BEST.robust_scale
 
 
 def ball(count: int = 500, radius: float = 0.4) -> np.ndarray:
@@ -55,11 +53,11 @@ def depth_of_ball(camera: Camera = CAMERA) -> np.ndarray:
 
 
 def blocks(points, *views) -> np.ndarray:
-    return sum(normal_blocks(points, view, R) for view in views)
+    return sum(normal_blocks(points, view) for view in views)
 
 
 def confidence(points, *views) -> np.ndarray:
-    return Evidence(points, blocks(points, *views), SmoothField(points), BEST).confidence()
+    return Evidence(points, blocks(points, *views)).confidence()
 
 
 def from_the_right(camera: Camera, degrees: float = 90.0) -> Camera:
@@ -88,7 +86,7 @@ def residuals(points: torch.Tensor, view: ViewTarget) -> torch.Tensor:
 def slope(squared: torch.Tensor) -> torch.Tensor:
     """The derivative of the robust cost, by autograd: the weight of a residual."""
     squared = squared.clone().requires_grad_()
-    return torch.autograd.grad(oracles.robust(squared, R).sum(), squared)[0]
+    return torch.autograd.grad(oracles.robust(squared, ROBUST_SCALE).sum(), squared)[0]
 
 
 @pytest.mark.parametrize("camera", [CAMERA, FLAT], ids=["perspective", "orthographic"])
@@ -111,17 +109,13 @@ def test_the_blocks_are_those_of_the_jacobian_of_the_residuals(camera):
 def test_a_confidence_is_the_share_of_the_variance_that_the_evidence_takes_off():
     points = ball(200)
     evidence = blocks(points, target(points, CAMERA))
-    field = SmoothField(points, 80)
-    by_node = field.spread(field.smoothed(np.eye(80), BEST.smoothness))  # [N, M]
-    rows = np.einsum("nm,nij,nk->mkij", by_node, evidence, by_node).sum(1)
-    held = BEST.least_prior_weight * 1024.0 / 200 * by_node.sum(0)
-    found = np.linalg.eigvalsh(rows)
-    shares = (found / (found + held[:, None])).mean(1)
-    np.testing.assert_allclose(
-        Evidence(points, evidence, field, BEST).confidence(),
-        field.spread(shares[:, None])[:, 0],
-        atol=1e-9,
-    )
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    held = PRIOR_WEIGHT * 1024.0 / 200
+    shares = []
+    for near in np.argsort(apart, axis=1)[:, :NEIGHBOURS]:
+        found = np.linalg.eigvalsh(evidence[near].mean(0))
+        shares.append((found / (found + held)).mean())
+    np.testing.assert_allclose(Evidence(points, evidence).confidence(), shares, atol=1e-9)
 
 
 def test_one_mask_determines_nothing_along_the_lines_of_sight():
@@ -157,7 +151,7 @@ def test_a_depth_map_determines_the_depth_of_what_it_sees():
     towards = -(BALL @ along)
     assert of_depth[towards > 0.2].min() > 0.0
     assert of_depth[towards < 0.0].max() == 0.0
-    # The field carries a little to what lies beside.
+    # What lies beside has a little of it.
     more = confidence(BALL, both) - confidence(BALL, mask)
     assert more[towards > 0.2].mean() > 0.2
     assert more[towards < -0.2].mean() < 0.05
@@ -207,8 +201,8 @@ def test_a_view_that_sees_no_point_says_nothing():
 def test_a_flipped_view_counts_as_a_quarter_of_its_original():
     problem = problem_of(CHAIR.points, CHAIR.view, symmetry="x")
     points, weights = problem.cloud.start, [0.8]
-    given, flipped = (normal_blocks(points, view, R) for view in problem.targets(weights).views)
-    found = Evidence.of(points, problem, weights, SmoothField(points), BEST)
+    given, flipped = (normal_blocks(points, view) for view in problem.targets(weights).views)
+    found = Evidence.of(points, problem, weights)
     np.testing.assert_allclose(found.blocks, given + 0.25 * flipped)
 
 
@@ -247,7 +241,7 @@ def test_a_mask_from_behind_is_worth_least_of_those_around():
     points = CHAIR.target - (CHAIR.target.min(0) + CHAIR.target.max(0)) / 2.0
     camera = replace(FLAT, R=CHAIR.camera.R)
     views = blocks(points, target(points, camera))
-    evidence = Evidence(points, views, SmoothField(points), BEST)
+    evidence = Evidence(points, views)
     shares = {
         degrees: expected_share(evidence, around(camera, degrees, 0))
         for degrees in range(0, 360, 45)
@@ -255,7 +249,7 @@ def test_a_mask_from_behind_is_worth_least_of_those_around():
     assert set(sorted(shares, key=shares.get)[:2]) == {0, 180}
 
 
-def test_without_a_smooth_field_nothing_is_said():
+def test_of_the_preset_paper_nothing_is_said():
     result = refine(CHAIR.points, CHAIR.view, config=RefineConfig(preset="paper", steps=2))
     assert result.determined is result.point_confidence is result.best_view is None
 

@@ -79,7 +79,7 @@ def test_a_hypothesis_under_which_the_mask_shows_no_object_is_not_confirmed():
     settings = RefineConfig().settings(1)
     problem = prepare(Cloud(CHAIR.points, "cloud").controlled(), [view], settings)
     with pytest.raises(InputError, match="no cell of its window"):
-        problem.with_views([changed(view, "mask-inverted")])
+        prepare(problem.cloud, [changed(view, "mask-inverted")], settings)
     assert not verified(view, "mask-inverted").suspicious
 
 
@@ -177,10 +177,10 @@ def test_a_refinement_of_right_input_spends_time_on_a_weak_hypothesis_and_finds_
 
 
 def test_ctrl_c_during_the_verification_leaves_the_cloud_as_it_was(monkeypatch):
-    def interrupted(*_):
+    def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(verification, "final_losses", interrupted)
+    monkeypatch.setattr(verification, "optimise_points", interrupted)
     result = refine(CHAIR.points, FLIPPED)
     assert result.fit.stop_reason == "interrupted"
     np.testing.assert_array_equal(result.points, result.initial)

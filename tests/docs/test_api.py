@@ -27,9 +27,6 @@ def fields_within(value: Any) -> Iterator[str]:
     """Names of the fields of a data class, and of the data classes that it holds."""
     for field in dataclasses.fields(value):
         yield field.name
-        if field.name == "recipe":
-            # The numbers of the method, which only ablations change.
-            continue
         inner = getattr(value, field.name)
         inner = inner[0] if isinstance(inner, (tuple, list)) and inner else inner
         if dataclasses.is_dataclass(inner) and not isinstance(inner, (Camera, type)):

@@ -16,7 +16,7 @@ from tso_cli.kernels.dispatch import decided
 from tso_cli.lab.commands.records import earlier_record, write_record
 from tso_cli.lab.studies import fingerprint
 from tso_cli.lab.studies.fingerprint import PARTS, differences, today
-from tso_cli.optimisation import presets
+from tso_cli.optimisation import learned_start, presets
 from tso_cli.pose import search
 from tso_cli.render import rays
 from tso_cli.silhouette import affinity, bce
@@ -40,9 +40,7 @@ def faster_latent(preset, patch):
 
 
 CHANGES = {
-    "points, best": lambda patch: patch.setitem(
-        vars(presets.BEST), "prior_weight", 0.3 * presets.BEST.prior_weight
-    ),
+    "points, best": lambda patch: patch.setattr(learned_start, "LEAST_SHARE", 0.3),
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
     "network modes, paper": partial(faster_latent, "paper"),
     "network modes, best": partial(faster_latent, "best"),

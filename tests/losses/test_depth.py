@@ -7,7 +7,7 @@ from hypothesis import given, settings
 
 from tests import oracles
 from tso_cli.geometry.camera import Camera
-from tso_cli.losses.depth import TOLERANCE, DepthTarget, depth_loss
+from tso_cli.losses.depth import ROBUST_SCALE, TOLERANCE, DepthTarget, depth_loss
 from tso_cli.losses.projection import project_differentiably
 
 from .common import COMPILED, FORMS, NUMPY, assert_equal, assert_gradient, by_autograd, in_form
@@ -29,12 +29,10 @@ def on(column: float, row: float, depth: float) -> list[float]:
     return points_at(np.array([[column, row]]), CANONICAL, np.array([depth]))[0].tolist()
 
 
-def loss(
-    points, depth: np.ndarray, robust_scale: float = 3.0, camera: Camera = CANONICAL
-) -> tuple[float, np.ndarray]:
+def loss(points, depth: np.ndarray, camera: Camera = CANONICAL) -> tuple[float, np.ndarray]:
     target = DepthTarget.of(depth, np.ones(depth.shape, bool), camera)
     points = np.asarray(points, float)
-    return depth_loss(points, project_differentiably(points, camera), target, robust_scale)
+    return depth_loss(points, project_differentiably(points, camera), target)
 
 
 def grid(depth: float, step: float = 1.0) -> np.ndarray:
@@ -58,7 +56,7 @@ def _scene(count: int) -> np.ndarray:
     return points_at(pixels, camera_of(), depth)
 
 
-def _oracle(points: torch.Tensor, depth: np.ndarray, robust_scale: float) -> torch.Tensor:
+def _oracle(points: torch.Tensor, depth: np.ndarray) -> torch.Tensor:
     """By all pairs of pixels and points, and point by point."""
     camera = camera_of()
     pixels, own_depth = oracles.project(points, camera)
@@ -72,7 +70,7 @@ def _oracle(points: torch.Tensor, depth: np.ndarray, robust_scale: float) -> tor
     )
 
     def robust(squared: torch.Tensor) -> torch.Tensor:
-        return torch.where(squared > TOLERANCE**2, oracles.robust(squared, robust_scale), 0.0).sum()
+        return torch.where(squared > TOLERANCE**2, oracles.robust(squared, ROBUST_SCALE), 0.0).sum()
 
     squared = (surface[:, None] - points).square().sum(2).masked_fill(~valid, torch.inf)
     total = robust(squared.min(1).values * (focal / known) ** 2) * area
@@ -89,9 +87,9 @@ def _oracle(points: torch.Tensor, depth: np.ndarray, robust_scale: float) -> tor
 @FORMS
 def test_value_and_gradient_are_those_of_all_pairs(form):
     points = _scene(60)
-    expected = by_autograd(lambda leaf: _oracle(leaf, _uneven(), 3.0), points)
+    expected = by_autograd(lambda leaf: _oracle(leaf, _uneven()), points)
     assert expected[0] > 1.0
-    assert_equal(in_form(form, loss, points, _uneven(), 3.0, camera_of()), expected)
+    assert_equal(in_form(form, loss, points, _uneven(), camera_of()), expected)
 
 
 @FORMS
@@ -99,7 +97,7 @@ def test_the_gradient_is_that_of_finite_differences(form):
     in_form(
         form,
         assert_gradient,
-        lambda at: loss(at, _uneven(), 3.0, camera_of()),
+        lambda at: loss(at, _uneven(), camera_of()),
         _scene(20),
         1e-7,
         1e-4,
@@ -111,15 +109,15 @@ def test_the_gradient_is_that_of_finite_differences(form):
 def test_any_points_cost_the_same_in_both_forms(places):
     points = points_of(places, camera_of())
     assert_equal(
-        *(in_form(form, loss, points, _uneven(), 3.0, camera_of()) for form in (COMPILED, NUMPY))
+        *(in_form(form, loss, points, _uneven(), camera_of()) for form in (COMPILED, NUMPY))
     )
 
 
 def test_points_on_a_surface_or_hidden_behind_it_cost_nothing_and_a_point_in_front_is_pushed_back():
     points = np.concatenate([grid(2.0), [on(32, 32, 2.0 - 3.0 / 60.0)]])
     assert loss(np.concatenate([grid(2.0), grid(2.3)]), wall())[0] == 0.0
-    value, gradient = loss(points, wall(), 2.0)
-    assert value == pytest.approx(9.0 * 4.0 / (4.0 + 9.0) * 1024.0 / len(points), rel=1e-9)
+    value, gradient = loss(points, wall())
+    assert value == pytest.approx(9.0 * 9.0 / (9.0 + 9.0) * 1024.0 / len(points), rel=1e-9)
     # The camera looks along -z of the world: downhill is away from it.
     assert gradient[-1, 2] > 0.0
     assert not gradient[:-1].any()

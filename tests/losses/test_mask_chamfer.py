@@ -12,8 +12,8 @@ from scipy.ndimage import distance_transform_edt
 from tests import oracles
 from tests.scenes import block
 from tso_cli.geometry.camera import NEAR
-from tso_cli.losses.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer, resolvability
-from tso_cli.optimisation.objective import MaskChamferObjective, ViewTarget, ViewTargets
+from tso_cli.losses.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer
+from tso_cli.optimisation.objective import ViewTarget, ViewTargets
 
 from .common import COMPILED, FORMS, NUMPY, assert_equal, assert_gradient, by_autograd, in_form
 from .scenes import HEIGHT, PLACES, WIDTH, camera_of, points_at, points_of, scattered
@@ -23,141 +23,122 @@ ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
 DISC = ((ROWS - 12) ** 2 / 40 + (COLUMNS - 15) ** 2 / 90 < 1).astype(float)
 LINE = np.where(ROWS == COLUMNS // 2 + 3, 0.3, 0.0)
 KNOWN = (RANDOM.random(DISC.shape) < 0.9).astype(float)
-PARTS = RANDOM.random(67)
 LARGER_IMAGE = (-0.5, -2.3, 40.5, 30.0)
 
-# Targets, the camera's model, and resolvability.
+# Targets, and the camera's model.
 SCENES = {
-    "one object": (MaskTarget.of(DISC), "perspective", None),
-    "orthographic": (MaskTarget.of(DISC), "orthographic", None),
+    "one object": (MaskTarget.of(DISC), "perspective"),
+    "orthographic": (MaskTarget.of(DISC), "orthographic"),
     "a mask with holes and unknown pixels": (
         MaskTarget.of(DISC * KNOWN[::-1], KNOWN),
         "perspective",
-        None,
     ),
     "a truncated object": (
         MaskTarget.of(np.where(COLUMNS > 18, DISC.max(), DISC), truncated=True),
         "perspective",
-        None,
     ),
-    "a mask thinner than a pixel": (MaskTarget.of(LINE), "perspective", None),
-    "an enlarged mask": (MaskTarget.of(DISC, cells_per_mask_pixel=3.3), "perspective", None),
+    "a mask thinner than a pixel": (MaskTarget.of(LINE), "perspective"),
+    "an enlarged mask": (MaskTarget.of(DISC, cells_per_mask_pixel=3.3), "perspective"),
     "a mask enlarged beyond the pixels that are tried first": (
         MaskTarget.of(DISC, cells_per_mask_pixel=4.5),
         "perspective",
-        None,
     ),
-    "a part of a larger image": (MaskTarget.of(DISC, bounds=LARGER_IMAGE), "perspective", None),
-    "parts that are not resolved": (MaskTarget.of(DISC), "orthographic", [PARTS]),
+    "a part of a larger image": (MaskTarget.of(DISC, bounds=LARGER_IMAGE), "perspective"),
 }
 
 
-def _objective(name: str, robust_scale: float = 3.0) -> tuple[MaskChamferObjective, np.ndarray]:
-    """The loss by one view, and points that lie in front of the camera and behind it."""
-    target, model, parts = SCENES[name]
+def _scene(name: str) -> tuple[ViewTargets, np.ndarray]:
+    """The targets of one view, and points that lie in front of the camera and behind it."""
+    target, model = SCENES[name]
     camera, pixels = camera_of(model), scattered()
     depth = np.random.default_rng(3).uniform(1.0, 3.0, len(pixels))
     depth[3:60:8] *= -1.0
     views = ViewTargets((ViewTarget(camera, target, None, 0.7),))
-    return MaskChamferObjective(views, robust_scale, parts), points_at(pixels, camera, depth)
+    return views, points_at(pixels, camera, depth)
 
 
-def _oracle(points: torch.Tensor, objective: MaskChamferObjective) -> torch.Tensor:
+def _oracle(points: torch.Tensor, targets: ViewTargets) -> torch.Tensor:
     """The loss by one view from all pairs of points and pixels."""
-    (view,) = objective.targets.views
+    (view,) = targets.views
     target, (pixels, depth) = view.mask, oracles.project(points, view.camera)
     valid = (depth > NEAR) | (view.camera.model == "orthographic")
     left, top, right, bottom = target.bounds
     x, y = pixels.detach().T
     in_image = valid & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
     observed = in_image if target.truncated else valid
-    area, resolved = (
-        target.scale**2,
-        torch.tensor(objective.resolvability[0] if objective.resolvability else np.ones(len(x))),
-    )
-
-    def robust(squared: torch.Tensor) -> torch.Tensor:
-        return oracles.robust(squared * area, objective.robust_scale)
-
+    area = target.scale**2
     # Column by column: of foreground pixels equally near, the leftmost, then the upper one counts.
     foreground = torch.tensor(np.argwhere(target.inside.T), dtype=torch.float64)
     squared = (foreground[:, None] - pixels).square().sum(2)
     nearest = squared.masked_fill(~valid, torch.inf).argmin(1)
     squared = squared.gather(1, nearest[:, None])[:, 0]
     paired = observed[nearest] & (squared > (COVERED_WITHIN * target.cells_per_mask_pixel) ** 2)
-    uncovered = (robust(squared[paired]) * area).sum()
+    uncovered = (squared[paired] * area**2).sum()
     own_pixel = torch.stack([x.clamp(0, WIDTH - 1), y.clamp(0, HEIGHT - 1)], 1).round()
     on_background = observed & in_image
     on_background[on_background.clone()] = torch.tensor(target.outside)[
         tuple(own_pixel[on_background].long().T.flip(0))
     ]
     nearest = (own_pixel[:, None] - foreground).square().sum(2).argmin(1)
-    outside = (
-        robust((pixels - foreground[nearest]).square().sum(1)) * resolved * (1024.0 / len(points))
-    )
+    outside = (pixels - foreground[nearest]).square().sum(1) * area * (1024.0 / len(points))
     return view.weight * (uncovered + outside[on_background].sum())
 
 
 @FORMS
 @pytest.mark.parametrize("name", SCENES)
 def test_value_and_gradient_are_those_of_all_pairs(name, form):
-    objective, points = _objective(name)
-    expected = by_autograd(lambda leaf: _oracle(leaf, objective), points)
+    targets, points = _scene(name)
+    expected = by_autograd(lambda leaf: _oracle(leaf, targets), points)
     assert expected[0] > 1.0
-    assert_equal(in_form(form, objective, points), expected)
+    assert_equal(in_form(form, targets.loss, points), expected)
 
 
 @FORMS
 def test_of_points_equally_near_the_first_is_drawn(form):
-    objective, points = _objective("one object")
+    targets, points = _scene("one object")
     twice = np.concatenate([points, points])
     assert_equal(
-        in_form(form, objective, twice), by_autograd(lambda leaf: _oracle(leaf, objective), twice)
+        in_form(form, targets.loss, twice), by_autograd(lambda leaf: _oracle(leaf, targets), twice)
     )
 
 
 @FORMS
 @pytest.mark.parametrize("name", SCENES)
 def test_the_gradient_is_that_of_finite_differences(name, form):
-    objective, points = _objective(name)
+    targets, points = _scene(name)
     with_behind = np.concatenate([points[:12], points[-8:]])
-    parts = objective.resolvability and [np.concatenate([PARTS[:12], PARTS[-8:]])]
-    in_form(form, assert_gradient, replace(objective, resolvability=parts), with_behind, 1e-7, 1e-4)
+    in_form(form, assert_gradient, targets.loss, with_behind, 1e-7, 1e-4)
 
 
 @settings(max_examples=40, deadline=None)
-@given(PLACES, st.sampled_from(sorted(SCENES)), st.floats(0.5, 20.0))
-def test_any_points_cost_the_same_in_both_forms(places, name, robust_scale):
-    objective = replace(_objective(name, robust_scale)[0], resolvability=None)
-    points = points_of(places, objective.targets.views[0].camera)
-    assert_equal(*(in_form(form, objective, points) for form in (COMPILED, NUMPY)), tolerance=1e-8)
+@given(PLACES, st.sampled_from(sorted(SCENES)))
+def test_any_points_cost_the_same_in_both_forms(places, name):
+    targets, _ = _scene(name)
+    points = points_of(places, targets.views[0].camera)
+    results = (in_form(form, targets.loss, points) for form in (COMPILED, NUMPY))
+    assert_equal(*results, tolerance=1e-8)
 
 
 @FORMS
 @pytest.mark.parametrize("name", ["one object", "a truncated object"])
 def test_a_view_that_observes_no_point_has_an_infinite_loss(name, form):
-    objective, points = _objective(name)
-    places, camera = ((9.0, -2.0), (-50.0, 2.0)), objective.targets.views[0].camera
+    targets, points = _scene(name)
+    places, camera = ((9.0, -2.0), (-50.0, 2.0)), targets.views[0].camera
     behind, beyond = (
         points_at(np.full((4, 2), place), camera, np.full(4, depth)) for place, depth in places
     )
-    value, gradient = in_form(form, objective, behind)
+    value, gradient = in_form(form, targets.loss, behind)
     assert value == np.inf
     assert not gradient.any()
     # Points beyond the border that truncates the object cannot be compared.
-    assert np.isinf(in_form(form, objective, beyond)[0]) == (name == "a truncated object")
-    unweighted = replace(objective.targets.views[0], weight=0.0)
-    assert in_form(form, replace(objective, targets=ViewTargets((unweighted,))), behind)[0] == 0.0
+    assert np.isinf(in_form(form, targets.loss, beyond)[0]) == (name == "a truncated object")
+    unweighted = ViewTargets((replace(targets.views[0], weight=0.0),))
+    assert in_form(form, unweighted.loss, behind)[0] == 0.0
 
 
-def _loss(
-    pixels, target: MaskTarget, robust_scale: float = 3.0, parts=None
-) -> tuple[float, np.ndarray]:
+def _loss(pixels, target: MaskTarget) -> tuple[float, np.ndarray]:
     """By pixels in place of points."""
-    costs, gradient = mask_chamfer(
-        np.asarray(pixels, float), np.ones(len(pixels), bool), target, robust_scale, parts
-    )
-    return float(costs.sum()), gradient
+    return mask_chamfer(np.asarray(pixels, float), np.ones(len(pixels), bool), target)
 
 
 def test_a_covered_mask_costs_nothing():
@@ -169,24 +150,10 @@ def test_a_covered_mask_costs_nothing():
     assert not gradient.any()
 
 
-def test_pixels_many_times_the_robust_scale_away_have_next_to_no_gradient():
-    target = MaskTarget.of(block(np.s_[4, 60]))
-    far, near = (np.abs(_loss([[10.0, 4.0]], target, scale)[1]).max() for scale in (2.0, 200.0))
-    assert far < 1e-3 * near
-
-
 def test_an_image_of_twice_the_size_costs_the_same():
     mask, points = block(np.s_[10:40, 20:50]), np.random.default_rng(2).uniform(5, 55, (40, 2))
     finer = _loss((points + 0.5) * 2 - 0.5, MaskTarget.of(mask.repeat(2, 0).repeat(2, 1)))[0]
     assert finer == pytest.approx(_loss(points, MaskTarget.of(mask))[0], rel=0.05)
-
-
-def test_a_strip_thinner_than_a_pixel_is_not_resolved_and_a_wider_one_is():
-    along, across = np.linspace(0, 6, 12), np.tile([-0.5, 0.5], 6)
-    strips = np.stack([np.stack([along, width * across], -1) for width in (0.2, 1.0, 2.0)])
-    # Half as far from the middle as it is wide, which is its standard deviation.
-    for result in (resolvability(strips), resolvability(2.0 * strips, 2.0)):
-        np.testing.assert_allclose(result, [0.0, (0.5 - 0.2) / 0.6, 1.0], atol=0.02)
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 40), (40, 1), (30, 47)])

@@ -1,4 +1,4 @@
-"""Adam with a scale for each number, with one scale for the cloud, and torch's Adam for weights."""
+"""Adam for points, and torch's Adam for weights."""
 
 import subprocess
 import sys
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tso_cli.optimisation.adam import Adam, UniformAdam
+from tso_cli.optimisation.adam import Adam
 from tso_cli.optimisation.network_parameters import TorchAdam
 
 GRADIENTS = np.random.default_rng(0).normal(size=(30, 7, 3)) * np.geomspace(1e-9, 10.0, 7)[:, None]
@@ -21,20 +21,6 @@ def test_steps_are_those_of_torchs_adam():
         theirs.step()
         values = values + mine.step(gradient)
         np.testing.assert_allclose(values, leaf, atol=1e-12)
-
-
-def test_with_one_scale_steps_keep_the_proportions_of_the_mean_gradient():
-    optimiser, mean, square = UniformAdam(0.04), np.zeros((7, 3)), 0.0
-    for number, gradient in enumerate(GRADIENTS, 1):
-        mean = 0.9 * mean + 0.1 * gradient
-        square = 0.999 * square + 0.001 * np.square(gradient).sum(1).max()
-        expected = -0.04 * mean / (1.0 - 0.9**number) / np.sqrt(square / (1.0 - 0.999**number))
-        np.testing.assert_allclose(optimiser.step(gradient), expected, rtol=1e-9)
-    # The first step moves the point with the largest gradient by the learning rate.
-    first = np.linalg.norm(UniformAdam(0.04).step(GRADIENTS[0]), axis=1)
-    assert first.max() == pytest.approx(0.04)
-    assert first[0] < 1e-8
-    assert not UniformAdam(0.04).step(np.zeros((7, 3))).any()
 
 
 def _minimised(step_of, parameters) -> list[torch.Tensor]:

@@ -5,8 +5,7 @@ import pytest
 
 from tests.prior.common import pushing
 from tests.scenes import problem_of, seen
-from tso_cli.cloud.smooth_field import SmoothField
-from tso_cli.optimisation.learned_start import OTHER, PASSES, RIGHT, beginning
+from tso_cli.optimisation.learned_start import PASSES, RIGHT, beginning
 from tso_cli.render import look_at
 
 CAMERA = look_at(0.0, 0.0, 2.2, (64, 64))
@@ -24,7 +23,7 @@ def begin(chair):
         ]
         problem = problem_of(chair.points, *views[: len(weights)])
         start = problem.cloud.start
-        found = beginning(problem, weights, SmoothField(start), prior)
+        found = beginning(problem, weights, prior)
         return found, (found.points - start) @ CAMERA.R.T
 
     return run
@@ -35,14 +34,14 @@ def test_a_cloud_moves_to_its_mask_in_passes(begin):
     found, moved = begin(pushing(0.05, 0.0, 0.0))
     assert PASSES == 2
     np.testing.assert_allclose(moved, np.broadcast_to([0.1, 0.0, 0.0], moved.shape), atol=1e-3)
-    assert found.rightness == 0.0
+    assert not found.right
 
 
 def test_a_step_that_the_mask_contradicts_is_not_taken(begin):
     found, moved = begin(pushing(-0.05, 0.0, 0.0))
     assert not moved.any()
     # It asked for a long step: the start is not right all the same.
-    assert found.rightness == 0.0
+    assert not found.right
 
 
 def test_a_second_step_that_goes_too_far_is_not_taken(begin):
@@ -53,20 +52,13 @@ def test_a_second_step_that_goes_too_far_is_not_taken(begin):
 def test_a_short_step_says_that_the_start_is_right_and_moves_nothing(begin):
     found, moved = begin(pushing(0.9 * RIGHT, 0.0, 0.0))
     assert not moved.any()
-    assert found.rightness == 1.0
-
-
-def test_between_right_and_other_the_step_is_scaled(begin):
-    found, moved = begin(pushing((RIGHT + OTHER) / 2.0, 0.0, 0.0))
-    assert found.rightness == pytest.approx(0.5, abs=0.05)
-    first = (RIGHT + OTHER) / 2.0 * (1.0 - found.rightness)
-    np.testing.assert_allclose(moved[:, 0], PASSES * first, rtol=0.1)
+    assert found.right
 
 
 def test_a_start_that_fits_its_mask_moves_half_as_far(begin):
     """0.004 to the side is far less than a pixel; 0.1 is five pixels."""
     fits, moved = begin(pushing(0.008, 0.0, 0.0), apart=0.004)
-    assert fits.rightness == 0.0
+    assert not fits.right
     np.testing.assert_allclose(moved[:, 0], PASSES * 0.004, atol=1e-4)
     _, moved = begin(pushing(0.008, 0.0, 0.0), apart=0.1)
     np.testing.assert_allclose(moved[:, 0], PASSES * 0.008, atol=1e-4)
@@ -82,4 +74,4 @@ def test_a_view_without_weight_is_not_asked(begin):
 def test_an_answer_that_is_not_finite_moves_nothing(begin):
     found, moved = begin(pushing(np.nan, 0.0, 0.0))
     assert not moved.any()
-    assert found.rightness == 0.0
+    assert not found.right

@@ -1,6 +1,4 @@
-"""Mirror planes: the search, the symmetry check by the views, and flipped views."""
-
-from dataclasses import replace
+"""Mirror planes: the search, and flipped views."""
 
 import numpy as np
 import pytest
@@ -8,11 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.corruption import assert_refused
-from tests.losses.common import COMPILED, FORMS, in_form
+from tests.losses.common import COMPILED, in_form
 from tests.scenes import EXAMPLES, example, problem_of, seen
 from tso_cli import RefineConfig, View, refine
-from tso_cli.cloud.smooth_field import SmoothField
-from tso_cli.diagnosis.verification import verify_plane
 from tso_cli.geometry.mirror_plane import MirrorPlane
 from tso_cli.geometry.points import sample_surface
 from tso_cli.geometry.rotations import from_vectors
@@ -84,60 +80,6 @@ def _seen(points: np.ndarray) -> list[View]:
         seen(points, look_at(azimuth, elevation, 3.0, (64, 64)))
         for azimuth, elevation in ((35.0, 20.0), (-70.0, 30.0))
     ]
-
-
-def _boxes(*sides: float) -> np.ndarray:
-    """A slab with a post on its top at each of ``sides``; sampled on a grid."""
-
-    def grid(*axes: np.ndarray) -> np.ndarray:
-        return np.stack(np.meshgrid(*axes), -1).reshape(-1, 3)
-
-    deep = np.linspace(-0.3, 0.3, 16)
-    slab = grid(np.linspace(-0.5, 0.5, 26), np.linspace(-0.1, 0.1, 6), deep)
-    post = grid(np.linspace(-0.08, 0.08, 5), np.linspace(0.14, 0.5, 10), deep)
-    return np.concatenate([slab, *(post + [side, 0.0, 0.0] for side in sides)])
-
-
-def _verified(start: np.ndarray, views: list[View]):
-    """The problem of a cloud with a mirror plane, after the views were asked."""
-    problem = problem_of(start, *views, symmetry="auto")
-    assert problem.symmetry.outcome == "used"
-    assert len(problem.flipped) == len(views)
-    return verify_plane(problem, [1.0] * len(views), SmoothField(problem.cloud.start))
-
-
-def test_the_views_keep_the_mirror_plane_of_a_symmetric_object():
-    start = _boxes(-0.42, 0.42)
-    problem = _verified(start, _seen(start * [1.1, 1.1, 1.0]))
-    assert problem.symmetry.outcome == "used"
-    assert problem.symmetry.coefficients is not None
-    assert problem.symmetry.check.loss_ratio <= problem.symmetry.check.limit == 1.1
-    assert "at most 1.1" in problem.symmetry.reason
-    assert len(problem.flipped) == 2
-
-
-@FORMS
-@pytest.mark.parametrize(("views", "limit"), [(1, 1.15), (2, 1.1)])
-def test_the_views_contradict_the_plane_of_an_object_that_lost_one_side(form, views, limit):
-    start, views = _boxes(-0.42, 0.42), _seen(_boxes(-0.42))[:views]
-    problem = in_form(form, _verified, start, views)
-    assert problem.symmetry.outcome == "contradicted"
-    assert problem.symmetry.coefficients is None
-    assert problem.symmetry.check.loss_ratio > problem.symmetry.check.limit == limit
-    assert f"over {limit}" in problem.symmetry.reason
-    assert problem.flipped == ()
-
-
-def test_a_refinement_asks_the_views_before_it_uses_a_plane():
-    start = _boxes(-0.42, 0.42)
-    views = _seen(_boxes(-0.42))[:1]
-    config = RefineConfig(steps=12, accept_doubtful=True)
-    asked, without = (
-        refine(start, views, config=replace(config, symmetry=symmetry))
-        for symmetry in ("auto", "none")
-    )
-    assert asked.symmetry.outcome == "contradicted"
-    np.testing.assert_array_equal(asked.points, without.points)
 
 
 def test_an_asymmetric_cloud_has_no_plane():

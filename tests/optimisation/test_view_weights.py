@@ -126,7 +126,7 @@ def test_a_wrong_view_spoils_less_than_if_it_were_trusted():
     trusting = replace(weighed, weights=ViewWeights.even(4))
     assert weighed.weights.loss[1] < trusting.weights.loss[1]
     weighed, trusting = (
-        problem.cloud.denormalise(optimise(one, settings, settings.steps)[0].best)
+        problem.cloud.denormalise(optimise(one, settings, settings.steps).best)
         for one in (weighed, trusting)
     )
     assert chamfer(weighed, target).chamfer < chamfer(trusting, target).chamfer

@@ -5,13 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.scenes import block, example, in_photo, problem_of
+from tests.scenes import block, example, in_photo
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.geometry.view import object_box
 from tso_cli.geometry.window import window_of
 from tso_cli.optimisation.resampled_view import resample_view
-from tso_cli.refinement import PRESETS
 
 
 @pytest.mark.parametrize(
@@ -67,38 +66,6 @@ def test_only_the_borders_of_the_image_truncate_an_object():
     for shift, expected in ((0, True), (1, False), (20, False), (159, False), (160, True)):
         view = View(np.roll(mask, shift, 1), Camera.canonical(200, 200))
         assert resample_view(view, 0.4, np.zeros(3), 1.0).target.truncated == expected
-
-
-@pytest.fixture
-def far_off(chair):
-    """The true cloud far from its mask, and the mask in a photo."""
-    return chair.target + [0.0, 0.3, 0.0] @ chair.camera.R, in_photo(chair.view, 4, 384, 230)
-
-
-def test_a_window_is_made_again_around_points_that_moved(far_off, chair):
-    start, photo = far_off
-    problem = problem_of(start, photo)
-    around = problem.with_windows_around(chair.target, False)
-    (first,), (last,) = ([view.box for view in each.resampled] for each in (problem, around))
-    assert first[2] - first[0] > 1.1 * (last[2] - last[0])
-    np.testing.assert_allclose(last, window_of(photo, chair.target))
-    assert around.given[0].resampled.camera.width == 64
-    assert problem.with_windows_around(chair.target, True).given[0].resampled.camera.width == 128
-
-
-@pytest.mark.slow
-def test_a_refinement_takes_the_finest_grid_of_its_mask_where_it_begins(far_off, chair):
-    start, photo = far_off
-    config = RefineConfig(symmetry="none", prior="none", accept_doubtful=True, move="shape")
-    result = refine(start, photo, config=config)
-    assert result.views[0].cells == 128
-    np.testing.assert_allclose(result.views[0].window, window_of(photo, start))
-    small = View(chair.mask[::4, ::4], chair.camera.resized(64, 64))
-    results = [
-        refine(chair.target, small, config=RefineConfig(steps=3, preset=preset))
-        for preset in PRESETS
-    ]
-    assert [result.views[0].cells for result in results] == [96, 64]
 
 
 def test_foreground_far_from_the_object_is_left_out_and_reported():

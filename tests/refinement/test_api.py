@@ -117,7 +117,7 @@ def test_a_grid_of_64_cells_loses_nothing_against_one_of_256(chair):
     finer = resample_view(windowed.view, sigma_sq, cloud.centre, cloud.scale, box, 256)
     fine = replace(problem, given=(replace(windowed, resampled=finer),))
     coarse, full = (
-        optimise(weigh(each, settings), settings, settings.steps)[0] for each in (problem, fine)
+        optimise(weigh(each, settings), settings, settings.steps) for each in (problem, fine)
     )
     assert not np.array_equal(coarse.best, full.best)
     errors = [chair.error(cloud.denormalise(each.best)) for each in (coarse, full)]

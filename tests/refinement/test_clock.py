@@ -33,7 +33,7 @@ def test_ctrl_c_during_an_attempt_leaves_out_that_and_every_later_one():
     clock, done = Clock(), []
     assert clock.attempt("cameras", interrupted, "given") == "given"
     assert clock.interrupted
-    assert clock.attempt("check symmetry", lambda: done.append(1), "none") == "none"
+    assert clock.attempt("check mistake", lambda: done.append(1), "none") == "none"
     assert done == []
 
 

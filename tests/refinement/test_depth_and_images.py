@@ -11,7 +11,7 @@ from tests.scenes import block
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.mirror_plane import MirrorPlane
-from tso_cli.optimisation.objective import MaskChamferObjective, ViewTargets
+from tso_cli.optimisation.objective import ViewTargets
 from tso_cli.optimisation.resampled_view import resample_view
 
 CONFIG = RefineConfig(steps=45, symmetry="none")
@@ -62,7 +62,7 @@ def test_views_with_and_without_a_depth_map_add_up_by_their_weights():
 
     def total(weights: list[float], *views: View) -> float:
         resampled = [resample_view(view, 0.4, np.zeros(3), 1.0) for view in views]
-        return MaskChamferObjective(ViewTargets.of(resampled, weights), 3.0)(start)[0]
+        return ViewTargets.of(resampled, weights).loss(start)[0]
 
     assert total([1.0, 0.5], TILTED, plain) == pytest.approx(
         total([1.0], TILTED) + 0.5 * total([1.0], plain)

@@ -31,10 +31,10 @@ def _judged(points, view, displacements=0.0, settings=None, **parts):
     best = problem.cloud.start + displacements
     values = dict(best_step=1, losses=[2.0, 1.0], interrupted=False, first_loss=2.0, best_loss=1.0)
     optimised = Optimised(best, **(values | parts))
-    settings = settings or RefineConfig(steps=1).settings()
+    settings = settings or RefineConfig(steps=4).settings()
     diagnosis = Diagnosis(placements=())
     weighed = weigh(problem, settings)
-    return judge(weighed, problem, optimised, [view], unmoved([view]), diagnosis, settings, {})
+    return judge(weighed, optimised, [view], unmoved([view]), diagnosis, settings, {})
 
 
 def _square(middle, step=1.0):
@@ -135,15 +135,15 @@ def optimised(chair):
     diagnosis = examine(cloud, [chair.view], [chair.view])
     weighed = weigh(prepare(cloud, [chair.view], settings), settings)
     prior = named_prior(settings.prior)
-    begin = beginning(weighed.problem, weighed.weights.loss, weighed.field, prior)
-    return weighed, settings, diagnosis, *optimise(weighed, settings, settings.steps, begin=begin)
+    begin = beginning(weighed.problem, weighed.weights.loss, prior)
+    return weighed, settings, diagnosis, optimise(weighed, settings, settings.steps, begin=begin)
 
 
 def _of(optimised, view, accept_doubtful=False, **changed):
-    weighed, settings, diagnosis, found, problem = optimised
+    weighed, settings, diagnosis, found = optimised
     settings = replace(settings, accept_doubtful=accept_doubtful)
     diagnosis = replace(diagnosis, **changed)
-    return judge(weighed, problem, found, [view], unmoved([view]), diagnosis, settings, {})
+    return judge(weighed, found, [view], unmoved([view]), diagnosis, settings, {})
 
 
 @pytest.mark.parametrize(("accepted", "outcome"), [(False, "refused"), (True, "moved")])

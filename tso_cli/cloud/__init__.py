@@ -1,1 +1,1 @@
-"""Clouds and meshes: their control points, outliers, and smooth displacement fields."""
+"""Clouds and meshes: their control points and outliers."""

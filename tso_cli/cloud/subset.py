@@ -6,8 +6,8 @@ import numpy as np
 
 from ..geometry.arrays import Array, Bits
 from ..losses.nearest import nearest_few
+from .interpolation import INTERPOLATED_FROM, falling_weights
 from .outliers import spread_over_surfaces
-from .smooth_field import INTERPOLATED_FROM, falling_weights
 
 # Points that are interpolated at once; bounds memory.
 INTERPOLATED_AT_ONCE = 1 << 16

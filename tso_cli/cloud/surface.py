@@ -11,7 +11,7 @@ from ..geometry.arrays import Array, Indices
 from ..geometry.points import CANDIDATES, as_triangles, draw_surface, spread_subset
 from ..io.paint import Paint
 from ..losses.nearest import nearest_few
-from .smooth_field import INTERPOLATED_FROM, falling_weights
+from .interpolation import INTERPOLATED_FROM, falling_weights
 
 MOST_CONTROL_POINTS = 4096
 # Weight of changing a control point's displacement. The weight of the distance between the control

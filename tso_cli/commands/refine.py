@@ -99,19 +99,20 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--learning-rate",
     type=float,
-    help="[default: 3e-2 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, "
+    help="[default: 4e-3 points, 3e-5 encoder, 6e-5 encoder-decoder, 1e-3 latent; paper 5e-4, "
     "1e-6, 5e-6, 1e-3]",
 )
 @click.option(
     "--gamma",
     type=float,
-    help="Weight of the Chamfer distance to the start.  [default: 0; paper 1e6, encoder 0]",
+    help="Weight of the Chamfer distance to the start, with --preset paper.  [default: 1e6, "
+    "encoder 0]",
 )
 @click.option(
     "--sigma-sq",
     type=float,
-    help="Variance of the projector's Gaussian, in squared 64ths of the object's window. "
-    "--preset paper uses it.  [default: 0.4]",
+    help="Variance of the projector's Gaussian, in squared 64ths of the object's window, with "
+    "--preset paper.  [default: 0.4]",
 )
 @click.option(
     "--move",

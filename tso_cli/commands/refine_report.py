@@ -64,8 +64,8 @@ CONVENTION = {
     "prior": "learned: the one that comes with the program",
     "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
     "optimisation, also where it was left, as a share of the object's size",
-    "saving": "share of the work that was saved: of the masks' pixels, the finest grid's cells, "
-    "the points, the steps, the work that a mirror plane takes",
+    "saving": "share of the work that was saved: of the masks' pixels, the points, the steps, the "
+    "work that a mirror plane takes",
     "weight": "of a view in the loss: its trust, divided among the views that show the same",
     "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null "
     "for none",
@@ -78,13 +78,11 @@ CONVENTION = {
 def objective_of(result: RefineResult) -> str:
     """The objective in words."""
     settings = result.settings
-    chamfer = f"{settings.gamma:g} x Chamfer to the start"
     if settings.preset == "paper":
-        return f"BCE + {chamfer}"
-    of_points = "mask Chamfer loss" + (f" + {chamfer}" if settings.gamma else "")
+        return f"BCE + {settings.gamma:g} x Chamfer to the start"
     if settings.smooth:
-        return f"{of_points}; after each step, the position prior as well"
-    return f"{of_points} + position prior"
+        return "mask Chamfer loss; after each step, the position prior as well"
+    return "mask Chamfer loss + position prior"
 
 
 def best_view_document(best: BestView) -> dict[str, Any]:
@@ -339,12 +337,10 @@ class RefineReport:
     def _symmetry(self) -> str | None:
         if not self.result.fit.steps:
             return None
-        masks = "mask contradicts" if len(self.result.views) == 1 else "masks contradict"
         return {
             "used": "assumed mirror-symmetric, as the cloud is",
             "given": "assumed mirror-symmetric, about the given plane",
             "none_found": "no mirror symmetry assumed: the cloud has none",
-            "contradicted": f"no mirror symmetry assumed: the {masks} it",
             # Only the default preset in points mode assumes symmetry by default.
             "not_asked": "no mirror symmetry assumed, as asked"
             if self.result.settings.smooth

@@ -144,14 +144,9 @@ class RefineRun:
         options.log(f"tso: camera: {', '.join(dict.fromkeys(self._scene.camera_sources))}")
 
     def _configured(self, chosen: dict[str, Any]) -> RefineConfig:
-        sigma_sq = chosen["sigma_sq"]
-        if sigma_sq is not None and self._inputs.preset == "best":
-            warnings.warn(
-                "--sigma-sq is of the paper's projection, which the preset best does not use",
-                stacklevel=1,
-            )
-        sigma_sq = self._scene.sigma_sq if sigma_sq is None else sigma_sq
-        return options.pick(RefineConfig, {**with_move(chosen), "sigma_sq": sigma_sq})
+        if chosen["sigma_sq"] is None and self._inputs.preset == "paper":
+            chosen = {**chosen, "sigma_sq": self._scene.sigma_sq}
+        return options.pick(RefineConfig, with_move(chosen))
 
     def _require_writable_cameras(self) -> None:
         """Refuse to write the cameras of a cloud with left-handed axes."""

@@ -225,8 +225,7 @@ def why_unmoved(result: RefineResult) -> str | None:
         "lower than the loss of the start",
         "nothing_to_do": f"the cloud already agrees with all that {masks}",
         "fits": f"the cloud fits the contours that {masks}",
-        "not_improved": f"none of {fit.steps} steps agrees better with what {masks} than the start "
-        "does",
+        "not_improved": f"nothing that {masks} asks for another shape",
     }[fit.stop_reason]
 
 

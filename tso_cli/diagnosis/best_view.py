@@ -61,7 +61,7 @@ def expected_share(evidence: Evidence, camera: Camera) -> float:
         camera = camera.cropped(window_around((left, top, right, bottom)), CELLS, CELLS)
         mask = MaskTarget.of(footprint(evidence.points, camera).astype(float))
         view = ViewTarget(camera, mask, None, 1.0)
-        blocks = normal_blocks(evidence.points, view, evidence.recipe.robust_scale)
+        blocks = normal_blocks(evidence.points, view)
     return float(evidence.confidence(blocks).mean())
 
 

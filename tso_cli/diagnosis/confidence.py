@@ -60,8 +60,6 @@ REASONS = {
     "motion": "the points moved far, or without their neighbours",
     "prior": "the learned prior is unsure of this object",
     "misfit": "the cloud does not fit the mask afterwards",
-    "symmetry": "the cloud is mirror-symmetric, but no mirror-symmetric object fits the mask; is "
-    "the camera right?",
     "evidence": "few masks, or a plain outline, show little of the shape",
 }
 FINDING = "finding"
@@ -195,7 +193,7 @@ def features_of(problem: Problem, optimised: Optimised, diagnosis: Diagnosis) ->
     """
     start, best = problem.cloud.start, optimised.best
     begun = optimised.begun
-    assert begun is not None, "a confidence is of a displacement field"
+    assert begun is not None, "a confidence is of the default preset"
     moved, views = best - start, [windowed.resampled for windowed in problem.given]
     across = np.concatenate([(moved @ view.camera.R.T)[:, :2] for view in views])
     of_prior = {} if begun.sureness is None else {"prior: sureness": begun.sureness}
@@ -208,7 +206,6 @@ def features_of(problem: Problem, optimised: Optimised, diagnosis: Diagnosis) ->
         "misfit: outside": float(np.mean([_outside(best, view) for view in views])),
         "input: findings": 0.0 if diagnosis.outvoted else float(len(diagnosis.suspicious)),
         "evidence: border": _log(np.mean([_border(view.target.inside) for view in views])),
-        "symmetry: contradicted": float(problem.symmetry.outcome == "contradicted"),
         "evidence: views": _log(len(views)),
     }
 

@@ -15,15 +15,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array, Bits, Indices
 from ..losses.depth import DepthTarget
 from ..losses.mask_chamfer import REFERENCE_POINTS, MaskTarget, robust
-from ..losses.nearest import nearest
+from ..losses.nearest import nearest, nearest_few
 from ..losses.projection import project_differentiably
 from ..optimisation.objective import ViewTarget
-from ..optimisation.presets import Recipe
-from ..optimisation.problem import FLIPPED_EVIDENCE, Problem
+from ..optimisation.presets import PRIOR_WEIGHT
+from ..optimisation.problem import Problem
+
+# A flipped view counts as a quarter of a real view: that the object is symmetric is a guess.
+FLIPPED_EVIDENCE = 0.25
+# A contour cell that is many times this far from its point, px of an image of 64, says nothing.
+ROBUST_SCALE = 3.0
+# Points whose evidence is averaged: a point moves much as those around it do.
+NEIGHBOURS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,58 +37,41 @@ class Evidence:
     """What the views say of the control points of a cloud.
 
     points : [N, 3], normalised. blocks : [N, 3, 3], the blocks of the points in the normal matrix.
-    field, recipe : those of the optimisation.
     """
 
     points: Array
     blocks: Array
-    field: SmoothField
-    recipe: Recipe
 
     @classmethod
-    def of(
-        cls,
-        points: Array,
-        problem: Problem,
-        weights: Sequence[float],
-        field: SmoothField,
-        recipe: Recipe,
-    ) -> Evidence:
-        """At normalised ``points`` [N, 3]; ``weights`` are of the given views.
-
-        A flipped view counts as a quarter, as in the position prior.
-        """
+    def of(cls, points: Array, problem: Problem, weights: Sequence[float]) -> Evidence:
+        """At normalised ``points`` [N, 3]; ``weights`` are of the given views."""
         blocks = np.zeros((len(points), 3, 3))
         for number, view in enumerate(problem.targets(weights).views):
             share = 1.0 if number < len(problem.given) else FLIPPED_EVIDENCE
-            blocks += share * normal_blocks(points, view, recipe.robust_scale)
-        return cls(points, blocks, field, recipe)
+            blocks += share * normal_blocks(points, view)
+        return cls(points, blocks)
 
     def confidence(self, further: Array | float = 0.0) -> Array:
         """[N] in [0, 1]: the share of each point's motions that the evidence fixes.
 
-        ``further`` [N, 3, 3] is added to the blocks. The points move by the smooth field: its
-        normal matrix is lumped, so that a node has the sum of its row. For a node with the block D
-        and the prior p, the share is ``1 - tr(p (D + p I)^-1) / 3``: posterior over prior variance,
-        the mean of three directions.
+        ``further`` [N, 3, 3] is added to the blocks. With D the mean block of a point and its
+        neighbours, and p the weight of the position prior, the share is
+        ``1 - tr(p (D + p I)^-1) / 3``: posterior over prior variance, the mean of three directions.
         """
         count = len(self.points)
-        # The weakest prior of one view. That of the run depends on how well the start fits and on
-        # the number of views, so it would give other shares to the same evidence.
-        prior = np.full(count, self.recipe.least_prior_weight * REFERENCE_POINTS / count)
-        columns = np.column_stack([(self.blocks + further).reshape(count, 9), prior])
-        nodes = self.field.smoothed(self.field.gather(columns), self.recipe.smoothness)
-        data, held = nodes[:, :9].reshape(-1, 3, 3), nodes[:, 9]
-        left = np.linalg.inv(data + held[:, None, None] * np.eye(3))
-        fixed = 1.0 - held * np.trace(left, axis1=1, axis2=2) / 3.0
-        return np.clip(self.field.spread(fixed[:, None])[:, 0], 0.0, 1.0)
+        held = PRIOR_WEIGHT * REFERENCE_POINTS / count
+        near = nearest_few(self.points, self.points, min(NEIGHBOURS, count))
+        data = (self.blocks + further)[near].mean(1)
+        left = np.linalg.inv(data + held * np.eye(3))
+        fixed: Array = 1.0 - held * np.trace(left, axis1=1, axis2=2) / 3.0
+        return np.clip(fixed, 0.0, 1.0)
 
 
-def normal_blocks(points: Array, view: ViewTarget, robust_scale: float) -> Array:
+def normal_blocks(points: Array, view: ViewTarget) -> Array:
     """[N, 3, 3], what a view adds to the normal matrix for each of the ``points`` [N, 3].
 
-    A residual is weighted as the robust loss weighs it, and a cell of the contour also by its
-    length, so that a finer grid says the same.
+    A residual is weighted by `robust`, and a cell of the contour also by its length, so that a
+    finer grid says the same.
     """
     blocks = np.zeros((len(points), 3, 3))
     seen = project_differentiably(points, view.camera)
@@ -93,14 +82,14 @@ def normal_blocks(points: Array, view: ViewTarget, robust_scale: float) -> Array
     cells = np.argwhere(contour(view.mask))[:, ::-1].astype(float)
     owner = candidates[nearest(cells, seen.points_px[candidates])]
     squared = np.square(seen.points_px[owner] - cells).sum(1) * scale**2
-    _, slope = robust(squared, robust_scale)
+    _, slope = robust(squared, ROBUST_SCALE)
     of_points = _summed(owner, view.weight * scale * slope, len(points))
     for axis in scale * np.eye(2):
         row = seen.pull_back(np.tile(axis, (len(points), 1)))
         blocks += of_points[:, None, None] * row[:, :, None] * row[:, None]
     if view.depth is not None:
         along = view.camera.R[2]
-        of_points = view.weight * _of_depth(points, candidates, view.depth, robust_scale)
+        of_points = view.weight * _of_depth(points, candidates, view.depth)
         blocks += of_points[:, None, None] * np.outer(along, along)
     return blocks
 
@@ -112,14 +101,12 @@ def contour(target: MaskTarget) -> Bits:
     return np.asarray(target.inside & bordering)
 
 
-def _of_depth(
-    points: Array, candidates: Indices, target: DepthTarget, robust_scale: float
-) -> Array:
+def _of_depth(points: Array, candidates: Indices, target: DepthTarget) -> Array:
     """[N], how firmly a depth map holds each point along the axis of the camera."""
     owner = candidates[nearest(target.surface, points[candidates])]
     per_unit = np.square(target.per_unit)
     squared = np.square(points[owner] - target.surface).sum(1) * per_unit
-    _, slope = robust(squared, robust_scale)
+    _, slope = robust(squared, ROBUST_SCALE)
     return _summed(owner, target.pixel_area * slope * per_unit, len(points))
 
 

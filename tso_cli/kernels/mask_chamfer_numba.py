@@ -38,37 +38,24 @@ class CompiledView(NamedTuple):
 def mask_chamfer(
     points: NDArray[np.float64],
     view: CompiledView,
-    robust_scale: float,
-    resolvability: NDArray[np.float64] | None,
-    weight: float,
-    costs: NDArray[np.float64],
-    gradient: NDArray[np.float64],
-) -> bool:
-    """Add ``weight`` times the loss of ``points`` [N, 3] to ``costs``, and its gradient likewise.
-
-    ``costs`` [N] takes the part of each point, ``gradient`` [N, 3] the gradient by the points.
-    Returns whether the view observes any point.
-    """
-    if resolvability is None:
-        resolvability = np.ones(len(points))
+) -> tuple[float, NDArray[np.float64]]:
+    """The loss of ``points`` [N, 3], infinite if none is observed; its gradient [N, 3] by them."""
     height, width = view.inside.shape
     edge = cell_edge(height, width, len(points))
-    any_observed: bool = _mask_chamfer(
-        points, *view, robust_scale, resolvability, edge, weight, costs, gradient
-    )
-    return any_observed
+    found: tuple[float, NDArray[np.float64]] = _mask_chamfer(points, *view, edge)
+    return found
 
 
 @compiled
 def _mask_chamfer(  # type: ignore[no-untyped-def]
     points, K, R, t, near, inside, outside, nearest_row, bounds, truncated, within, scale,
-    reference, robust_scale, resolvability, edge, weight, costs, gradient,
+    reference, edge,
 ):  # fmt: skip
     count, (height, width) = len(points), inside.shape
     left, top, right, bottom = bounds[0], bounds[1], bounds[2], bounds[3]
     pixels, by_pixels, plane = np.empty((count, 2)), np.zeros((count, 2)), np.zeros((count, 3))
     valid, observed = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-    any_observed = False
+    loss, any_observed, gradient = 0.0, False, np.zeros((count, 3))
     for n in range(count):
         x = R[0, 0] * points[n, 0] + R[0, 1] * points[n, 1] + R[0, 2] * points[n, 2] + t[0]
         y = R[1, 0] * points[n, 0] + R[1, 1] * points[n, 1] + R[1, 2] * points[n, 2] + t[1]
@@ -87,8 +74,8 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
         observed[n] = valid[n] and (in_image or not truncated)
         any_observed |= observed[n]
     if not any_observed:
-        return False
-    area, robust = scale * scale, robust_scale * robust_scale
+        return np.inf, gradient
+    area = scale * scale
     # Each point tries the few pixels around it. Most pixels find their nearest point in this way.
     reach = max(1, int(edge / 2.0))
     margin = 2 * reach + 1
@@ -126,32 +113,27 @@ def _mask_chamfer(  # type: ignore[no-untyped-def]
             by_x, by_y = pixels[n, 0] - j, pixels[n, 1] - i
             squared = by_x * by_x + by_y * by_y
             if squared > within * within:
-                squared *= area
-                inlier = robust / (robust + squared)
-                costs[n] += weight * squared * inlier * area
-                by_pixels[n, 0] += 2.0 * area * area * inlier * inlier * by_x
-                by_pixels[n, 1] += 2.0 * area * area * inlier * inlier * by_y
+                loss += squared * area * area
+                by_pixels[n, 0] += 2.0 * area * area * by_x
+                by_pixels[n, 1] += 2.0 * area * area * by_y
+    share = reference / count * area
     for n in range(count):
-        x, y, share = pixels[n, 0], pixels[n, 1], resolvability[n] * reference / count
+        x, y = pixels[n, 0], pixels[n, 1]
         # A pixel outside the image is unknown, not background.
-        if observed[n] and share > 0.0 and x >= left and x <= right and y >= top and y <= bottom:
+        if observed[n] and x >= left and x <= right and y >= top and y <= bottom:
             # The image beyond the mask's part of it is as the nearest pixel of this part.
             i = int(np.rint(min(max(y, 0.0), height - 1.0)))
             j = int(np.rint(min(max(x, 0.0), width - 1.0)))
             if outside[i, j]:
                 row, column = nearest_marked(i, j, nearest_row)
                 by_x, by_y = x - column, y - row
-                squared = (by_x * by_x + by_y * by_y) * area
-                inlier = robust / (robust + squared)
-                costs[n] += weight * share * squared * inlier
-                by_pixels[n, 0] += 2.0 * share * area * inlier * inlier * by_x
-                by_pixels[n, 1] += 2.0 * share * area * inlier * inlier * by_y
+                loss += share * (by_x * by_x + by_y * by_y)
+                by_pixels[n, 0] += 2.0 * share * by_x
+                by_pixels[n, 1] += 2.0 * share * by_y
         u, v = by_pixels[n, 0], by_pixels[n, 1]
         if u != 0.0 or v != 0.0:
             by_x, by_y = K[0, 0] * u * plane[n, 2], (K[0, 1] * u + K[1, 1] * v) * plane[n, 2]
             by_z = 0.0 if near == -np.inf else -(by_x * plane[n, 0] + by_y * plane[n, 1])
             for axis in range(3):
-                gradient[n, axis] += weight * (
-                    R[0, axis] * by_x + R[1, axis] * by_y + R[2, axis] * by_z
-                )
-    return True
+                gradient[n, axis] = R[0, axis] * by_x + R[1, axis] * by_y + R[2, axis] * by_z
+    return loss, gradient

@@ -1,6 +1,6 @@
 """Compiled loops over the points of a cloud.
 
-Farthest-point sampling, nearest neighbours, the Chamfer distance, interpolation between nodes.
+Farthest-point sampling, nearest neighbours, the Chamfer distance.
 """
 
 from __future__ import annotations
@@ -153,23 +153,3 @@ def chamfer(start, moved, to_start, to_moved, gradient):  # type: ignore[no-unty
             total += back * back
             gradient[to_moved[n], c] += scale * back
     return total / len(start)
-
-
-@compiled
-def spread(index, weight, values, out):  # type: ignore[no-untyped-def]
-    """``out`` [N, C] as the weighted sums of the rows ``index`` [N, k] of ``values`` [M, C]."""
-    out[:] = 0.0
-    for n in range(len(index)):
-        for k in range(index.shape[1]):
-            for c in range(values.shape[1]):
-                out[n, c] += weight[n, k] * values[index[n, k], c]
-
-
-@compiled
-def gather(index, weight, values, out):  # type: ignore[no-untyped-def]
-    """``out`` [M, C] from ``values`` [N, C]: the transpose of `spread`."""
-    out[:] = 0.0
-    for n in range(len(index)):
-        for k in range(index.shape[1]):
-            for c in range(values.shape[1]):
-                out[index[n, k], c] += weight[n, k] * values[n, c]

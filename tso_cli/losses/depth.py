@@ -16,6 +16,9 @@ from .projection import Projected, pixels_under
 # Distance up to which both terms cost nothing, px of an image of 64 at the surface's depth. It is
 # half the diagonal of a pixel, as `COVERED_WITHIN` of the mask Chamfer loss.
 TOLERANCE = 0.7
+# A pair that is many times this far apart, px of an image of 64, is a wrong depth or another part,
+# and has almost no gradient.
+ROBUST_SCALE = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +67,7 @@ class DepthTarget:
         return len(self.surface) * self.pixel_area
 
 
-def depth_loss(
-    points: Array, projected: Projected, target: DepthTarget, robust_scale: float
-) -> tuple[float, Array]:
+def depth_loss(points: Array, projected: Projected, target: DepthTarget) -> tuple[float, Array]:
     """Attract points to surfaces without a point, and push back points in front of a surface.
 
     1. A pixel attracts the point nearest to its surface, in space, if this point is further away
@@ -75,11 +76,11 @@ def depth_loss(
        front of it.
     3. A point behind a surface is hidden and costs nothing.
 
-    Lengths are in pixels at the surface's depth. A pair costs ``rho(d)`` of `mask_chamfer`.
+    Lengths are in pixels at the surface's depth. The cost of a distance is `robust`.
 
     Parameters
     ----------
-    points : [N, 3]. projected : their pixels. robust_scale : pixels of an image of 64.
+    points : [N, 3]. projected : their pixels.
 
     Returns
     -------
@@ -92,7 +93,7 @@ def depth_loss(
         owner = candidates[nearest(target.surface, points[candidates])]
         offsets = points[owner] - target.surface
         squared = np.square(offsets).sum(1) * np.square(target.per_unit)
-        cost, slope = robust(squared, robust_scale)
+        cost, slope = robust(squared, ROBUST_SCALE)
         unreached = squared > TOLERANCE**2
         value += float(cost[unreached].sum()) * target.pixel_area
         by_offset = np.where(
@@ -106,7 +107,7 @@ def depth_loss(
     per_unit = target.front_per_unit.ravel()[pixel]
     ahead = (target.front.ravel()[pixel] - (points @ direction + target.camera.t[2])) * per_unit
     before = in_image & (ahead > TOLERANCE)
-    cost, slope = robust(np.square(np.where(before, ahead, 0.0)), robust_scale)
+    cost, slope = robust(np.square(np.where(before, ahead, 0.0)), ROBUST_SCALE)
     weight = REFERENCE_POINTS / len(points)
     by_depth = np.where(before, -2.0 * weight * slope * ahead * per_unit, 0.0)
     return value + weight * float(cost.sum()), gradient + by_depth[:, None] * direction

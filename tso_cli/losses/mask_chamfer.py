@@ -17,9 +17,6 @@ REFERENCE_SIDE = 64.0
 # A point covers a pixel if its distance, px, to the pixel's centre is at most this: half the
 # diagonal of a pixel, which is the largest distance from a point to the nearest centre.
 COVERED_WITHIN = 0.7
-# Standard deviations across a part, px: pixels do not resolve a part under the first (a strip 0.7
-# px wide), and fully resolve it above the second.
-UNRESOLVED, RESOLVED = 0.2, 0.8
 # Points outside the mask weigh as if the cloud had this many points, because the density of a cloud
 # says nothing about its error.
 REFERENCE_POINTS = 1024.0
@@ -67,7 +64,7 @@ class MaskTarget:
         """Pixels of an image of 64 in one pixel of the mask."""
         return REFERENCE_SIDE / max(self.inside.shape)
 
-    @cached_property
+    @property
     def pixels(self) -> float:
         """Area of the foreground, in pixels of an image of 64."""
         return float(self.inside.sum()) * self.scale**2
@@ -127,13 +124,7 @@ def sides(mask: Array, known: Array | None = None) -> tuple[Bits, Bits]:
     return inside, ~inside if known is None else ~inside & (known >= 0.5)
 
 
-def mask_chamfer(
-    points_px: Array,
-    valid: Bits,
-    target: MaskTarget,
-    robust_scale: float,
-    resolvability: Array | None = None,
-) -> tuple[Array, Array]:
+def mask_chamfer(points_px: Array, valid: Bits, target: MaskTarget) -> tuple[float, Array]:
     """Attract points to uncovered foreground pixels, and points outside the mask to the mask.
 
     1. A foreground pixel attracts its nearest point if this point is further away than 0.7 px.
@@ -141,42 +132,30 @@ def mask_chamfer(
     3. If the border of the image truncates the object, a point beyond the border costs nothing, and
        neither does a pixel whose nearest point lies there.
 
-    With d the distance in pixels of an image whose longer side has 64, each pair costs
-    ``rho(d) = d^2 r^2 / (r^2 + d^2)`` (Geman and McClure). This is the square of small distances. A
-    pair that is many times the robust scale r apart is probably no counterpart, and has almost no
-    gradient.
+    Each pair costs the square of its distance, in pixels of an image whose longer side has 64.
 
     Parameters
     ----------
     points_px, valid : [N, 2] column and row, [N] bool.
-    robust_scale : r, pixels of an image of 64.
-    resolvability : [N] weights in [0, 1] of points outside the mask; None for 1.
 
     Returns
     -------
-    [N] the part of each point in the loss. The loss is a sum over pixels of an image of 64 and over
-    points, as if the cloud had 1,024 points. The cost of a pixel belongs to the point that it
-    attracts. [N, 2] the gradient of the loss by ``points_px``.
+    The loss, a sum over pixels of an image of 64 and over points, as if the cloud had 1,024 points;
+    infinite if no point is observed. [N, 2] its gradient by ``points_px``.
     """
-    costs, gradient = np.zeros(len(points_px)), np.zeros((len(points_px), 2))
+    gradient = np.zeros((len(points_px), 2))
     observed = target.observed(points_px, valid)
+    if not observed.any():
+        return np.inf, gradient
     area = target.scale**2
-
-    owner, offsets = _uncovered(points_px, valid, observed, target)
-    cost, slope = robust(np.square(offsets).sum(1) * area, robust_scale)
-    costs += np.bincount(owner, cost * area, len(costs))
+    owner, of_pixels = _uncovered(points_px, valid, observed, target)
     for axis in (0, 1):
-        gradient[:, axis] += np.bincount(
-            owner, 2.0 * area * area * slope * offsets[:, axis], len(costs)
-        )
-
-    outside, offsets = _outside_mask(points_px, observed, target)
-    resolved = 1.0 if resolvability is None else resolvability[outside]
-    weight = REFERENCE_POINTS / len(points_px) * resolved
-    cost, slope = robust(np.square(offsets).sum(1) * area, robust_scale)
-    costs[outside] += weight * cost
-    gradient[outside] += (2.0 * area * weight * slope)[:, None] * offsets
-    return costs, gradient
+        gradient[:, axis] = np.bincount(owner, 2.0 * area**2 * of_pixels[:, axis], len(points_px))
+    outside, of_points = _outside_mask(points_px, observed, target)
+    weight = REFERENCE_POINTS / len(points_px)
+    gradient[outside] += 2.0 * area * weight * of_points
+    squares = area * np.square(of_pixels).sum() + weight * np.square(of_points).sum()
+    return float(area * squares), gradient
 
 
 def _uncovered(
@@ -271,22 +250,3 @@ def robust(squared: Array, robust_scale: float) -> tuple[Array, Array]:
     """
     inlier = robust_scale**2 / (robust_scale**2 + squared)
     return squared * inlier, np.square(inlier)
-
-
-def resolvability(patches_px: Array, cells_per_mask_pixel: float = 1.0) -> Array:
-    """[M] how far pixels resolve a part, in [0, 1].
-
-    A part that is very thin, or seen edge-on, can lie outside the mask only because the mask has
-    lost it. ``patches_px`` [M, K, 2] are the projected neighbours of M nodes. Their smaller
-    standard deviation, in pixels of the original mask (see `MaskTarget`), gives 0 up to 0.2 px, 1
-    from 0.8 px on, and a linear value between.
-    """
-    # A product with equal weights is a mean; for few neighbours it is five times as fast.
-    equal = np.full(patches_px.shape[1], 1.0 / patches_px.shape[1])
-    x, y = (part - (part @ equal)[:, None] for part in (patches_px[:, :, 0], patches_px[:, :, 1]))
-    xx, yy, xy = np.square(x) @ equal, np.square(y) @ equal, (x * y) @ equal
-    # The smaller eigenvalue of the covariance is the variance across.
-    across = np.sqrt(np.maximum((xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy), 0.0))
-    across /= cells_per_mask_pixel
-    resolved: Array = np.clip((across - UNRESOLVED) / (RESOLVED - UNRESOLVED), 0.0, 1.0)
-    return resolved

@@ -1,1 +1,1 @@
-"""The method: objective, prior, displacement field, mirror plane, view weights."""
+"""The method: objective, prior, mirror plane, view weights."""

@@ -41,7 +41,7 @@ class Optimised:
         finite.
     interrupted : whether Ctrl-C ended the optimisation.
     first_loss, best_loss : of the start and of ``best``.
-    begun : where `optimise_field` began, None in other optimisations.
+    begun : where `optimise_points` began, None in other optimisations.
     """
 
     best: Array

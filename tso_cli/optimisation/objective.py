@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..cloud.smooth_field import SmoothField
 from ..geometry.arrays import Array
 from ..geometry.camera import NEAR, Camera
 from ..kernels.dispatch import use_compiled
@@ -25,7 +24,6 @@ from ..losses.mask_chamfer import (
     REFERENCE_POINTS,
     MaskTarget,
     mask_chamfer,
-    resolvability,
 )
 from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
@@ -81,6 +79,22 @@ class ViewTarget:
             depth = DepthTarget.of(view.depth, view.target.inside, view.camera)
         return cls(view.camera, view.target, depth, weight)
 
+    def loss(self, points: Array) -> tuple[float, Array]:
+        """The losses of mask and depth map, without the weight, and their gradient [N, 3]."""
+        if use_compiled():
+            from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
+
+            value, gradient = compiled(points, self.compiled)
+        else:
+            projected = project_differentiably(points, self.camera)
+            value, by_pixels = mask_chamfer(projected.points_px, projected.valid, self.mask)
+            gradient = projected.pull_back(by_pixels)
+        if self.depth is not None:
+            projected = project_differentiably(points, self.camera)
+            more, further = depth_loss(points, projected, self.depth)
+            value, gradient = value + more, gradient + further
+        return value, gradient
+
     @cached_property
     def compiled(self) -> CompiledView:
         """For the compiled loop, in contiguous arrays: others would be compiled anew."""
@@ -124,72 +138,30 @@ class ViewTargets:
             for view in self.views
         )
 
-    @property
-    def truncated(self) -> bool:
-        """Whether an image border truncates the object in every view."""
-        return all(view.mask.truncated for view in self.views)
+    def loss(self, points: Array) -> tuple[float, Array]:
+        """Weighted sum over views of `mask_chamfer`, and of `depth_loss` where there are maps.
 
-    def resolvability(self, points: Array, field: SmoothField) -> list[Array]:
-        """For each view [N] in [0, 1], how well its mask resolves the part around each point.
-
-        A point takes the value of its node's neighbourhood.
+        Its gradient [N, 3] too. The sum is infinite where a view whose weight is not 0 shows no
+        point.
         """
-        nodes = points[field.nodes]
-        found = []
+        total, gradient = 0.0, np.zeros_like(points)
         for view in self.views:
-            patches = project_differentiably(nodes, view.camera).points_px[field.patches]
-            found.append(
-                field.of_nearest_node(resolvability(patches, view.mask.cells_per_mask_pixel))
-            )
-        return found
-
-
-@dataclass(frozen=True, eq=False)
-class MaskChamferObjective:
-    """Weighted sum over views of `mask_chamfer`, and of `depth_loss` where views have depth maps.
-
-    ``robust_scale`` is in pixels of a mask of 64. Without ``resolvability`` all parts count. The
-    sum is infinite where a view whose weight is not 0 shows no point.
-    """
-
-    targets: ViewTargets
-    robust_scale: float
-    resolvability: list[Array] | None = None
-
-    def __call__(self, points: Array) -> tuple[float, Array]:
-        costs, gradient, observed = self._of_masks(points)
-        total = float(costs.sum()) if observed else np.inf
-        for view in self.targets.views:
-            if view.depth is not None and view.weight > 0.0:
-                value, by_points = depth_loss(
-                    points,
-                    project_differentiably(points, view.camera),
-                    view.depth,
-                    self.robust_scale,
-                )
+            if view.weight:
+                value, by_points = view.loss(points)
                 total, gradient = total + view.weight * value, gradient + view.weight * by_points
         return total, gradient
 
-    def _of_masks(self, points: Array) -> tuple[Array, Array, bool]:
-        """What each point adds, [N], the gradient [N, 3], and whether all views observe points."""
-        costs, gradient, observed = np.zeros(len(points)), np.zeros_like(points), True
-        for number, view in enumerate(self.targets.views):
-            if view.weight == 0.0:
-                continue
-            resolved = self.resolvability[number] if self.resolvability else None
-            if use_compiled():
-                from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
 
-                observed &= compiled(
-                    points, view.compiled, self.robust_scale, resolved, view.weight, costs, gradient
-                )
-            else:
-                projected = project_differentiably(points, view.camera)
-                pixels, valid = projected.points_px, projected.valid
-                of_points, gradient_px = mask_chamfer(
-                    pixels, valid, view.mask, self.robust_scale, resolved
-                )
-                costs += view.weight * of_points
-                gradient += view.weight * projected.pull_back(gradient_px)
-                observed &= bool(view.mask.observed(pixels, valid).any())
-        return costs, gradient, observed
+@dataclass(frozen=True, eq=False)
+class PositionPrior:
+    """What it costs the points of a cloud to leave ``initial`` [N, 3].
+
+    ``weight`` is of squared distances, for a cloud of 1,024 points.
+    """
+
+    initial: Array
+    weight: float
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        shift, weight = points - self.initial, self.weight * REFERENCE_POINTS / len(points)
+        return weight * float(np.square(shift).sum()), 2.0 * weight * shift

@@ -3,43 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..cloud.smooth_field import SmoothField
-from ..geometry.arrays import Array
+from ..geometry.arrays import Array, Indices
 from ..losses.chamfer import ChamferToStart
+from ..losses.nearest import nearest_few
 from ..losses.photometric import Photo, PhotometricTerm
 from .adam import Adam
-from .field_optimisation import network_objective, optimise_field
 from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
-from .objective import SilhouetteObjective
+from .objective import PositionPrior, SilhouetteObjective
 from .parameters import PointParameters
+from .presets import BEST_POINTS, PRIOR_WEIGHT
 from .problem import Problem
 from .settings import Settings
 from .view_weights import ViewWeights
 
+# Points that move alike by a photo: the detail of one point alone fits many places.
+NEIGHBOURS = 12
+
 
 @dataclass(frozen=True, eq=False)
 class WeighedProblem:
-    """A problem with the weights of its views, and the displacement field of its start.
-
-    weights : of the given views. field : None unless the default preset moves points.
-    """
+    """A problem with the weights of the views that were given."""
 
     problem: Problem
     weights: ViewWeights
-    field: SmoothField | None
 
 
 def weigh(problem: Problem, settings: Settings) -> WeighedProblem:
     """The weights of the given views, by their silhouettes of the start."""
-    start, weights = problem.cloud.start, ViewWeights.even(len(problem.given))
+    weights = ViewWeights.even(len(problem.given))
     if settings.preset == "best":
-        weights = ViewWeights.of([windowed.resampled for windowed in problem.given], start)
-    return WeighedProblem(problem, weights, SmoothField(start) if settings.smooth else None)
+        resampled = [windowed.resampled for windowed in problem.given]
+        weights = ViewWeights.of(resampled, problem.cloud.start)
+    return WeighedProblem(problem, weights)
 
 
 def optimise(
@@ -49,39 +49,60 @@ def optimise(
     network: Parameters | None = None,
     begin: Beginning | None = None,
     on_progress: Progress | None = None,
-) -> tuple[Optimised, Problem]:
+) -> Optimised:
     """Move the cloud, or the ``network`` that predicts it, until it agrees with its views.
 
     The default preset in points mode begins at ``begin``, without it at the start.
-
-    Returns what was found, and the problem with the windows of the optimisation.
     """
-    problem, start, weights = weighed.problem, weighed.problem.cloud.start, weighed.weights.loss
-    chamfer: list[Term] = []
-    if settings.gamma:
-        chamfer = [_Times(settings.gamma, ChamferToStart(start))]
-    if weighed.field:
-        begin, recipe = begin or Beginning(start), settings.recipe
-        around = problem.cloud.denormalise(begin.points)
-        problem = problem.with_windows_around(around, recipe.fine_grid)
-        found = optimise_field(
-            problem,
-            weights,
-            weighed.field,
-            recipe,
-            settings.learning_rate,
-            steps,
-            begin=begin,
-            observations=problem.observations(weights),
-            terms=[*chamfer, *_photometric(problem, weights, begin.points)],
-            on_progress=on_progress,
-        )
-        return found, problem
-    term: Term = SilhouetteObjective(problem.resampled, problem.all_weights(weights))
+    problem, weights, rate = weighed.problem, weighed.weights.loss, settings.learning_rate
+    start = problem.cloud.start
+    if settings.smooth:
+        return optimise_points(problem, weights, steps, rate, begin, on_progress=on_progress)
+    objective: Term = SilhouetteObjective(problem.resampled, problem.all_weights(weights))
     if settings.preset == "best":
-        term = network_objective(start, problem.targets(weights))
-    parameters = network or PointParameters(start, Adam(settings.learning_rate))
-    return minimise(parameters, sum_of([term, *chamfer]), steps, on_progress), problem
+        objective = sum_of([problem.targets(weights).loss, PositionPrior(start, PRIOR_WEIGHT)])
+    elif settings.gamma:
+        objective = sum_of([objective, _Times(settings.gamma, ChamferToStart(start))])
+    parameters = network or PointParameters(start, Adam(rate))
+    return minimise(parameters, objective, steps, on_progress)
+
+
+def optimise_points(
+    problem: Problem,
+    weights: Sequence[float],
+    steps: int,
+    learning_rate: float = BEST_POINTS.learning_rate,
+    begin: Beginning | None = None,
+    prior_weight: float = PRIOR_WEIGHT,
+    on_progress: Progress | None = None,
+) -> Optimised:
+    """Move the points of a cloud until it agrees with its views, held near where they begin.
+
+    ``best`` is the best iterate; or the start where it agrees better with the views, or is right.
+
+    Parameters
+    ----------
+    weights : of the given views.
+    learning_rate : how far a coordinate moves in the first step.
+    begin : where the points are at first, and held; the start without it.
+    """
+    start, begin = problem.cloud.start, begin or Beginning(problem.cloud.start)
+    photos = _photometric(problem, weights, begin.points)
+    agreement = sum_of([problem.targets(weights).loss, *photos])
+    held = PositionPrior(begin.points, prior_weight)
+    parameters = PointParameters(begin.points, Adam(learning_rate))
+    found = minimise(parameters, sum_of([agreement, held]), steps, on_progress)
+    # Compared without the position prior, which may hold the cloud elsewhere than at its start.
+    loss_at_start, loss_at_best = agreement(start)[0], agreement(found.best)[0]
+    better = loss_at_best < loss_at_start and not begin.right
+    return replace(
+        found,
+        best=found.best if better else start,
+        best_step=found.best_step if better else 0,
+        first_loss=loss_at_start,
+        best_loss=loss_at_best if better else loss_at_start,
+        begun=begin,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,15 +115,28 @@ class _Times:
         return self.weight * value, self.weight * gradient
 
 
+@dataclass(frozen=True, eq=False)
+class _Smoothed:
+    """A term whose gradient is averaged twice over the points ``near`` [N, k] each point."""
+
+    term: Term
+    near: Indices
+
+    def __call__(self, points: Array) -> tuple[float, Array]:
+        value, gradient = self.term(points)
+        return value, gradient[self.near].mean(1)[self.near].mean(1)
+
+
 def _photometric(problem: Problem, weights: Sequence[float], points: Array) -> list[Term]:
     """The terms of the photos of the given views at ``points``, if the cloud has colours."""
     if problem.cloud.colours is None:
         return []
     colours = np.asarray(problem.cloud.colours, dtype=np.float64)
+    near = nearest_few(points, points, min(NEIGHBOURS, len(points)))
     terms: list[Term] = []
     for windowed, weight in zip(problem.given, weights, strict=True):
         view = windowed.resampled
         if view.image is not None:
             photo = Photo(view.image, view.target.inside, view.camera, weight)
-            terms.append(PhotometricTerm.at(photo, colours, points))
+            terms.append(_Smoothed(PhotometricTerm.at(photo, colours, points), near))
     return terms

@@ -7,16 +7,12 @@ from dataclasses import dataclass, replace
 
 from ..cloud.cloud import ControlledCloud
 from ..errors import InputError
-from ..geometry.arrays import Array
 from ..geometry.view import View
 from ..geometry.window import window_of
 from .objective import ViewTargets
-from .resampled_view import CELLS, ResampledView, fine_cells, resample_view
+from .resampled_view import ResampledView, resample_view
 from .settings import Settings
 from .symmetry import SymmetryDecision, decide_symmetry
-
-# A flipped view counts as a quarter of a real view: that the object is symmetric is a guess.
-FLIPPED_EVIDENCE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +51,7 @@ class Problem:
         views, plane = tuple(views), symmetry.plane
         flipped = () if plane is None else tuple(map(plane.flipped, views))
         given, mirrored = (
-            tuple(_windowed(view, cloud, sigma_sq, cloud.control_points) for view in some)
-            for some in (views, flipped)
+            tuple(_windowed(view, cloud, sigma_sq) for view in some) for some in (views, flipped)
         )
         return cls(cloud, given, mirrored, symmetry, sigma_sq)
 
@@ -70,31 +65,9 @@ class Problem:
         """The views that were given, then the flipped ones."""
         return [windowed.resampled for windowed in (*self.given, *self.flipped)]
 
-    def with_views(self, views: Iterable[View]) -> Problem:
-        """The same cloud with other views."""
-        return Problem.of(self.cloud, views, self.symmetry, self.sigma_sq)
-
-    def with_symmetry(self, symmetry: SymmetryDecision) -> Problem:
-        """The same with another decision about the mirror plane."""
-        flipped = () if symmetry.plane is None else self.flipped
-        return replace(self, symmetry=symmetry, flipped=flipped)
-
     def without_flipped(self) -> Problem:
         """The same without the flipped views."""
         return replace(self, flipped=())
-
-    def with_windows_around(self, points: Array, fine: bool) -> Problem:
-        """The same with windows around ``points`` [N, 3], in the unit of the source.
-
-        ``fine`` windows have `fine_cells`. A cloud that starts far from its mask has a large
-        window, which would resolve little detail after the learned prior has moved it.
-        """
-
-        def renewed(windowed: WindowedView) -> WindowedView:
-            return _windowed(windowed.view, self.cloud, self.sigma_sq, points, fine)
-
-        given, flipped = (tuple(map(renewed, views)) for views in (self.given, self.flipped))
-        return replace(self, given=given, flipped=flipped)
 
     def targets(self, weights: Sequence[float]) -> ViewTargets:
         """Of all views; ``weights`` are of the given views, and count for the flipped ones too."""
@@ -105,17 +78,14 @@ class Problem:
         return [*weights, *weights] if self.flipped else [*weights]
 
     @property
+    def observations(self) -> int:
+        """How many masks, depth maps and photos there are."""
+        return sum(view.observations for view in self.views)
+
+    @property
     def masks_alone(self) -> bool:
         """Whether no view has a depth map or a photo."""
-        return all(view.depth is None and view.image is None for view in self.views)
-
-    def observations(self, weights: Sequence[float]) -> float:
-        """V: the weighted number of masks and depth maps. A flipped mask counts as a quarter."""
-        flipped = FLIPPED_EVIDENCE if self.flipped else 0.0
-        return sum(
-            weight * (1.0 + flipped + (view.depth is not None))
-            for weight, view in zip(weights, self.views, strict=True)
-        )
+        return self.observations == len(self.given)
 
 
 def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> Problem:
@@ -129,13 +99,10 @@ def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -
     return Problem.of(cloud, views, symmetry, settings.sigma_sq)
 
 
-def _windowed(
-    view: View, cloud: ControlledCloud, sigma_sq: float, points: Array, fine: bool = False
-) -> WindowedView:
-    """A view in its window around ``points`` [N, 3], in the unit of the source."""
-    box = window_of(view, points)
-    cells = fine_cells(box[2] - box[0], len(cloud.start)) if fine else CELLS
-    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box, cells))
+def _windowed(view: View, cloud: ControlledCloud, sigma_sq: float) -> WindowedView:
+    """A view in its window around mask and cloud."""
+    box = window_of(view, cloud.control_points)
+    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box))
 
 
 def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> None:

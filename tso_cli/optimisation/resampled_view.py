@@ -15,7 +15,7 @@ from ..geometry.view import View
 from ..geometry.window import window_of
 from ..losses.mask_chamfer import REFERENCE_SIDE, MaskTarget
 
-# Cells along the side of a window. The optimisation of the default in points mode has `fine_cells`.
+# Cells along the side of a window.
 CELLS = 64
 
 
@@ -132,18 +132,3 @@ def _image_bounds(box: Box, camera: Camera, cells: int) -> Box:
         (camera.width - 0.5 - left) * across - 0.5,
         (camera.height - 0.5 - top) * down - 0.5,
     )
-
-
-# Cells a side in the optimisation -> the least side of a window that has them, in mask pixels.
-# More cells bring nothing, even for 16,384 points.
-FINE_GRIDS = {128: 96.0, 96: 48.0}
-FINEST_GRID = max(FINE_GRIDS)
-# Sparser clouds cannot follow finer cells.
-FEWEST_POINTS_FOR_FINE = 512
-
-
-def fine_cells(side: float, points: int) -> int:
-    """Cells along a window of ``side`` pixels for the optimisation; ``points`` move."""
-    if points < FEWEST_POINTS_FOR_FINE:
-        return CELLS
-    return next((cells for cells, pixels in FINE_GRIDS.items() if side >= pixels), CELLS)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from ..io.shipped import NO_PRIOR
 from ..pose.asked import Asked, Keep
-from .presets import Mode, Preset, Recipe
+from .presets import Mode, Preset, default_steps
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,15 @@ class Settings:
     point_confidence: bool
     points: int | None
     prior: str
-    recipe: Recipe
     given: frozenset[str]
+
+    def for_observations(self, count: int) -> Settings:
+        """The same with the default steps for this many masks, depth maps and photos."""
+        if not self.smooth or "steps" in self.given:
+            return self
+        return replace(self, steps=default_steps(count, self.prior != NO_PRIOR))
 
     @property
     def smooth(self) -> bool:
-        """Whether a smooth displacement field moves points: the default preset in points mode."""
+        """Whether the default preset moves points."""
         return self.preset == "best" and self.mode == "points"

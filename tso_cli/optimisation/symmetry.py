@@ -1,4 +1,4 @@
-"""The mirror plane of a cloud: searched, given or none; the views are asked elsewhere."""
+"""The mirror plane of a cloud: searched, given or none."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..geometry.points import CANDIDATES, as_points, quantile, scattered
 from ..losses.chamfer import spacings
 from ..losses.nearest import fast_spread_subset, nearest
 
-SymmetryOutcome = Literal["used", "given", "not_asked", "none_found", "contradicted"]
+SymmetryOutcome = Literal["used", "given", "not_asked", "none_found"]
 
 
 class Search:
@@ -41,7 +41,7 @@ class Symmetric:
     """
 
     LARGEST_MEAN = 0.6
-    LARGEST_TAIL, TAIL_QUANTILE = 1.2, 0.97
+    LARGEST_TAIL, TAIL_QUANTILE = 1.0, 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,31 +170,17 @@ def _spacing(points: Array) -> float:
     return float(spacings(points).mean())
 
 
-@dataclass(frozen=True)
-class SymmetryCheck:
-    """What two short optimisations showed, with and without the flipped views.
-
-    loss_ratio : the final loss per view with the flipped views, over the loss without them.
-    limit : the largest ratio at which the plane is kept.
-    """
-
-    loss_ratio: float
-    limit: float
-
-
 @dataclass(frozen=True, eq=False)
 class SymmetryDecision:
     """Whether a mirror plane is used, and why.
 
-    outcome : "used" (a plane that was found), "given", or without a plane "not_asked",
-        "none_found" (the cloud has none) or "contradicted" (the cloud has one, the views contradict
-        it).
-    candidate : the plane that was given or found. check : of the views, where there was one.
+    outcome : "used" (a plane that was found), "given", or without a plane "not_asked" or
+        "none_found" (the cloud has none).
+    candidate : the plane that was given or found.
     """
 
     outcome: SymmetryOutcome
     candidate: FittedPlane | None = None
-    check: SymmetryCheck | None = None
 
     @property
     def plane(self) -> MirrorPlane | None:
@@ -222,11 +208,7 @@ class SymmetryDecision:
         limits = f"(at most {Symmetric.LARGEST_MEAN} and {Symmetric.LARGEST_TAIL})"
         if self.outcome == "none_found":
             return f"{fit}, too far {limits}"
-        if self.check is None:
-            return f"{fit} {limits}"
-        bound = f"{'at most' if self.outcome == 'used' else 'over'} {self.check.limit}"
-        ratio = f"{self.check.loss_ratio:.2f} times the loss without ({bound})"
-        return f"{fit} {limits}; with the flipped view the final loss per view is {ratio}"
+        return f"{fit} {limits}"
 
 
 def decide_symmetry(cloud: ControlledCloud, symmetry: str) -> SymmetryDecision:

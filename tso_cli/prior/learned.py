@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..cloud.smooth_field import falling_weights
+from ..cloud.interpolation import falling_weights
 from ..geometry.arrays import Array, Indices
 from ..io.shipped import LEARNED, NO_PRIOR
 from ..losses.nearest import nearest_few

@@ -15,7 +15,7 @@ from ..geometry.camera import Camera
 from ..kernels import blas
 from ..kernels.dispatch import decided, on_disk, planned, usable
 from ..optimisation.loop import Progress
-from ..optimisation.presets import COMPARISON_STEPS, PRESETS
+from ..optimisation.presets import PRESETS
 from ..optimisation.settings import Settings
 from .clock import Clock
 from .config import RefineConfig
@@ -106,8 +106,7 @@ def work_of(settings: Settings, views: int, points: int) -> tuple[int, int]:
     if settings.smooth:
         points = min(points, settings.points or points)
     if settings.symmetry == "auto":
-        # The flipped views, and the symmetry check.
-        comparisons = 2 * comparisons + 3 * views * COMPARISON_STEPS
+        comparisons *= 2  # the flipped views
     # In numpy a point costs the paper's silhouette several times as much.
     return comparisons, comparisons * points * (4 if settings.preset == "paper" else 1)
 

@@ -12,7 +12,6 @@ from ..errors import InputError
 from ..geometry.points import CANDIDATES
 from ..io.shipped import LEARNED, NO_PRIOR
 from ..optimisation.presets import (
-    BEST,
     DEFAULTS,
     FEWEST_CONTROL_POINTS,
     MODES,
@@ -20,7 +19,6 @@ from ..optimisation.presets import (
     SIGMA_SQ,
     Mode,
     Preset,
-    Recipe,
     default_steps,
 )
 from ..optimisation.settings import Settings
@@ -37,18 +35,17 @@ class RefineConfig:
     mode : what is optimised: "points", "encoder" or "encoder-decoder" (the network's weights), or
         "latent" (the vector of 128 numbers between encoder and decoder).
     steps : of the optimiser; 0 returns the start.
-    learning_rate : for a cloud of longest side 1. With "best" in points mode it is the
-        largest change of a node's vector in the first step; else it is Adam's.
-    gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
-    sigma_sq : variance of the projection's Gaussian in squared cells of a window of 64. The
-        default is the paper's, 0.4. The preset "paper" uses it.
+    learning_rate : of Adam, for a cloud of longest side 1.
+    gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1; with
+        preset "paper".
+    sigma_sq : variance of the projection's Gaussian in squared cells of a window of 64; with preset
+        "paper". The default is the paper's, 0.4.
     device : where the network is: "cpu", "cuda", "auto" or any name torch knows. Points mode has
         no network, and runs on the CPU.
     preset : "best", or "paper": Eq. 7 with the paper's settings.
-    symmetry : "auto" searches a mirror plane of the start and uses it if the views agree; "none";
-        "x", "y", "z": the axis normal to a plane through the middle of the start's bounding box;
-        or "a,b,c,d": the plane ax + by + cz = d. The default is "auto" with "best" in points mode,
-        else "none".
+    symmetry : "auto" searches a mirror plane of the start; "none"; "x", "y", "z": the axis normal
+        to a plane through the middle of the start's bounding box; or "a,b,c,d": the plane
+        ax + by + cz = d. The default is "auto" with "best" in points mode, else "none".
     move : what may move as one before the shape is refined, in points mode: "shape" (nothing),
         "pose" (the cloud turns and shifts), "similarity" (its size may change too), "camera" (each
         camera turns and shifts by itself), or "auto" (what explains the misfit with the fewest
@@ -66,11 +63,10 @@ class RefineConfig:
     prior : what is known about shapes of the cloud's kind: "learned", the prior that comes with the
         program; "none"; or the path of a file that `tso train --prior` has written. The default is
         "learned" with "best" in points mode, else "none".
-    recipe : settings of the preset "best" in points mode, for ablations.
 
     The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
-    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 20 steps for each view,
-    up to four views.
+    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 20 steps
+    without a learned prior, or with more than one mask.
 
     Raises
     ------
@@ -93,7 +89,6 @@ class RefineConfig:
     point_confidence: bool = False
     points: int | None = None
     prior: str | Path | None = None
-    recipe: Recipe = BEST
 
     def __post_init__(self) -> None:
         choices = {"mode": MODES, "preset": PRESETS, "move": (None, *ASKED), "keep": KEEPS}
@@ -131,7 +126,6 @@ class RefineConfig:
         if self.symmetry is not None:
             parse_symmetry(self.symmetry)
         smooth_only = {
-            "recipe": self.recipe is not BEST,
             "points": self.points is not None,
             "point_confidence": self.point_confidence,
             "prior": self.prior is not None and str(self.prior) != NO_PRIOR,
@@ -142,6 +136,9 @@ class RefineConfig:
                     f"`{name}` is for mode points with preset best, "
                     f"found {self.mode} with {self.preset}"
                 )
+        for name in ("gamma", "sigma_sq"):
+            if getattr(self, name) is not None and self.preset != "paper":
+                raise InputError(f"`{name}` is for preset paper, found {self.preset}")
 
     def _require_whole(self, name: str, low: int, high: int | None) -> None:
         value = getattr(self, name)
@@ -163,14 +160,15 @@ class RefineConfig:
 
     @property
     def _smooth(self) -> bool:
-        """Whether a smooth displacement is optimised, as `Settings.smooth`."""
+        """As `Settings.smooth`."""
         return self.preset == "best" and self.mode == "points"
 
     def settings(self, views: int = 1) -> Settings:
         """The same with the preset's values in place of None, for clouds with ``views`` views."""
         preset, smooth = DEFAULTS[self.preset, self.mode], self._smooth
+        steps = default_steps(views, str(self.prior) != NO_PRIOR)
         defaults: dict[str, Any] = dict(
-            steps=default_steps(views) if smooth else preset.steps,
+            steps=steps if smooth else preset.steps,
             learning_rate=preset.learning_rate,
             gamma=preset.gamma,
             symmetry="auto" if smooth else "none",

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from ..io.shipped import NO_PRIOR
 from ..optimisation.loop import Optimised
-from ..optimisation.presets import BEST_POINTS, COMPARISON_STEPS, default_steps
+from ..optimisation.presets import default_steps
 from ..optimisation.problem import Problem
-from ..optimisation.resampled_view import FINEST_GRID
 from ..optimisation.settings import Settings
 
 
@@ -17,8 +17,8 @@ from ..optimisation.settings import Settings
 class Decision:
     """One of the decisions.
 
-    saving : the share of the work that was saved: of the masks' pixels, the cells of the finest
-        grid, the points, the steps, or the work that a mirror plane takes.
+    saving : the share of the work that was saved: of the masks' pixels, the points, the steps, or
+        the work that a mirror plane takes.
     """
 
     what: str
@@ -36,10 +36,9 @@ def decisions(problem: Problem, settings: Settings, optimised: Optimised) -> tup
         return ()
     return (
         _window(problem),
-        _grid(problem),
         _points(problem, settings),
         _steps(problem, settings, optimised),
-        _symmetry(problem, settings.steps),
+        _symmetry(problem),
     )
 
 
@@ -58,16 +57,6 @@ def _window(problem: Problem) -> Decision:
     )
 
 
-def _grid(problem: Problem) -> Decision:
-    cells = [windowed.resampled.camera.width for windowed in problem.given]
-    saving = 1.0 - sum(count**2 for count in cells) / (len(cells) * FINEST_GRID**2)
-    reason = "the masks resolve as much"
-    if saving:
-        reason = "the window's pixels, and the control points, resolve no more"
-    choice = ", ".join(f"{count}x{count}" for count in dict.fromkeys(cells))
-    return Decision("cells", choice, reason, saving)
-
-
 def _points(problem: Problem, settings: Settings) -> Decision:
     cloud = problem.cloud
     control, of = len(cloud.control_points), len(cloud.measured)
@@ -81,9 +70,9 @@ def _points(problem: Problem, settings: Settings) -> Decision:
 
 
 def _steps(problem: Problem, settings: Settings, optimised: Optimised) -> Decision:
-    done, masks = optimised.steps, len(problem.given)
-    enough = default_steps(masks)
-    reason = f"{enough} are enough for {masks} mask{'s' * (masks > 1)}"
+    done, seen = optimised.steps, problem.observations
+    enough = default_steps(seen, settings.prior != NO_PRIOR)
+    reason = f"{enough} are enough for {'one mask' if seen == 1 else 'what is seen'}"
     if optimised.interrupted:
         reason = "interrupted"
     elif done + 1 < len(optimised.losses):
@@ -92,19 +81,15 @@ def _steps(problem: Problem, settings: Settings, optimised: Optimised) -> Decisi
         reason = "no loss was left"
     elif "steps" in settings.given:
         reason = "as asked for"
-    saving = 1.0 - done / max(done, BEST_POINTS.steps * masks)
+    saving = 1.0 - done / max(done, enough)
     return Decision("steps", f"{done}", reason, saving)
 
 
-def _symmetry(problem: Problem, steps: int) -> Decision:
-    """The check and the optimisation see the flipped views too, if there is a plane."""
-    symmetry = problem.symmetry
-    of_each = steps / len(problem.given)
-    check = 3 * COMPARISON_STEPS
-    work = check * (symmetry.check is not None) + (1 + (symmetry.plane is not None)) * of_each
-    saving = 1.0 - work / (check + 2 * of_each)
-    choice = ("checked, " if symmetry.check else "") + ("used" if symmetry.plane else "not used")
-    return Decision("mirror plane", choice, symmetry.reason, saving)
+def _symmetry(problem: Problem) -> Decision:
+    """With a plane the optimisation sees the flipped views too."""
+    used = problem.symmetry.plane is not None
+    choice, saving = ("used", 0.0) if used else ("not used", 0.5)
+    return Decision("mirror plane", choice, problem.symmetry.reason, saving)
 
 
 def document_of(decided: Sequence[Decision]) -> list[dict[str, Any]]:

@@ -20,9 +20,8 @@ from ..geometry.points import CANDIDATES, scattered
 from ..geometry.view import View
 from ..losses.chamfer import ChamferToStart
 from ..optimisation.loop import Optimised
-from ..optimisation.objective import MaskChamferObjective
 from ..optimisation.optimise import WeighedProblem
-from ..optimisation.presets import BEST, BEST_POINTS, FEWEST_CONTROL_POINTS
+from ..optimisation.presets import FEWEST_CONTROL_POINTS
 from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
 from ..pose.move import Move
@@ -31,9 +30,6 @@ from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
 
 Ious = list[tuple[float, float]]  # of each view, before and after
 
-# With fewer steps, or less than half of all, there is no confidence: what is left undone looks like
-# a mistake.
-FEWEST_STEPS = BEST_POINTS.steps // 2
 # A view with a lower inlier weight is a finding.
 CONTRADICTED_WEIGHT = 0.5
 # Samples of a surface by which before and after are compared. In 75 refinements of the shipped
@@ -54,7 +50,6 @@ class _Ending:
 
 def judge(
     weighed: WeighedProblem,
-    problem: Problem,
     optimised: Optimised,
     given: Sequence[View],
     move: Move,
@@ -64,9 +59,8 @@ def judge(
 ) -> RefineResult:
     """The result of an optimisation.
 
-    The displacement is taken, or left where it is likely to make the cloud worse. ``problem`` has
-    the windows of the optimisation, and the views after the ``move``.
-    ``given`` are the views that were given.
+    The displacement is taken, or left where it is likely to make the cloud worse. The problem has
+    the views after the ``move``. ``given`` are the views that were given.
 
     Raises TsoError where the loss of the start, or after the first step, is not a finite number.
     """
@@ -77,6 +71,7 @@ def judge(
         raise TsoError(
             "the loss is not a finite number after the first step (a smaller learning rate?)"
         )
+    problem = weighed.problem
     ending = _ending(weighed, problem, optimised, given, move, diagnosis, settings)
     if ending.outcome == "refused":
         move = move.taken_back("the result is doubtful")
@@ -116,9 +111,9 @@ def judge(
         )
     )
     determined = confidence = further = None
-    if weighed.field:
+    if settings.smooth:
         at = cloud.start + moved.displacements
-        evidence = Evidence.of(at, problem, weights.loss, weighed.field, settings.recipe)
+        evidence = Evidence.of(at, problem, weights.loss)
         of_points = evidence.confidence()
         determined = float(of_points.mean())
         if settings.point_confidence:
@@ -221,7 +216,8 @@ def _why_unknown(
     # An optimisation that ended because no loss was left is whole.
     steps = settings.steps if optimised.losses[-1] == 0.0 else optimised.steps
     points = len(problem.cloud.control_points)
-    few = steps < max(FEWEST_STEPS, settings.steps / 2)
+    # What is left undone looks like a mistake.
+    few = steps < max(1.0, settings.steps / 2)
     reasons = (
         ("mode", "a network mode has none", settings.mode != "points"),
         ("points", f"{points} points are too few", points < FEWEST_CONTROL_POINTS),
@@ -278,11 +274,10 @@ def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> t
     Between few control points there are gaps, which ask for a motion that the whole cloud does not
     need.
     """
-    targets = problem.without_flipped().targets(weights)
-    objective = MaskChamferObjective(targets, BEST.robust_scale)
+    loss = problem.without_flipped().targets(weights).loss
     most = SAMPLES_OF_A_MESH if problem.cloud.source.surface else CANDIDATES
     before, after = (
-        objective(problem.cloud.normalise(scattered(points, most)))[0]
+        loss(problem.cloud.normalise(scattered(points, most)))[0]
         for points in (problem.cloud.measured, moved.measured)
     )
     return before, after

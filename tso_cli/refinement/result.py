@@ -119,8 +119,7 @@ class RefineResult:
     findings : what may be wrong with the input, suspicious ones first; read them before the result
         is used.
     determined : in [0, 1], the share of the points' motions that masks and depth maps fix
-        (`diagnosis/determined.py`). None for the preset "paper" and the network modes, which have
-        no smooth field that the points move by.
+        (`diagnosis/determined.py`). None for the preset "paper" and the network modes.
     point_confidence : [N] in [0, 1], the same for each of the ``points``; 0 for outliers.
         best_view : whose mask would help most. Both are None unless `RefineConfig` asks for them.
     """

@@ -9,11 +9,11 @@ from ..cloud.cloud import ControlledCloud
 from ..diagnosis.examine import Diagnosis, NoOverlapError, examine, explained
 from ..diagnosis.explain import Margin
 from ..diagnosis.placement import require_plane_through
-from ..diagnosis.verification import verify_hypotheses, verify_plane
+from ..diagnosis.verification import verify_hypotheses
 from ..geometry.arrays import Array
 from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
-from ..optimisation.optimise import WeighedProblem, optimise, weigh
+from ..optimisation.optimise import optimise, weigh
 from ..optimisation.problem import Problem, prepare
 from ..optimisation.settings import Settings
 from ..pose.causes import find_move
@@ -54,20 +54,23 @@ def run(
     with clock.phase("prepare"):
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
-    diagnosis, weighed = _verified(scene, diagnosis, problem, settings, clock)
+        settings = settings.for_observations(problem.observations)
+    diagnosis = _verified(scene, diagnosis, problem, settings, clock)
+    with clock.phase("prepare"):
+        weighed = weigh(problem, settings)
     idle = diagnosis.fits or bool(diagnosis.of_input and not settings.accept_doubtful)
     begin = None
-    if weighed.field and settings.steps and prior is not None and not idle:
-        of_start = weighed.problem, weighed.weights.loss, weighed.field
-        begin = clock.attempt("move", partial(beginning, *of_start, prior), None)
+    if settings.smooth and settings.steps and prior is not None and not idle:
+        of_start = problem, weighed.weights.loss, prior
+        begin = clock.attempt("move", partial(beginning, *of_start), None)
     report = on_progress and _in_unit_of(problem.cloud, on_progress)
     steps = 0 if clock.interrupted or idle else settings.steps
     with clock.phase("optimise"):
-        optimised, problem = optimise(weighed, settings, steps, network, begin, report)
+        optimised = optimise(weighed, settings, steps, network, begin, report)
     if clock.interrupted:
         optimised = replace(optimised, interrupted=True)
     with clock.phase("judge"):
-        of_run = weighed, problem, optimised, given, move, diagnosis
+        of_run = weighed, optimised, given, move, diagnosis
         return judge(*of_run, settings, clock.seconds)
 
 
@@ -81,7 +84,7 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
     if diagnosis.unverified:
         problem = prepare(cloud, scene.views, settings)
-        diagnosis = _with_hypotheses_verified(scene, diagnosis, problem, settings, clock)
+        diagnosis = _verified(scene, diagnosis, problem, settings, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
     return diagnosis, cloud, move
@@ -164,21 +167,8 @@ def _examined_anyhow(scene: RefineScene, cloud: ControlledCloud, settings: Setti
 
 def _verified(
     scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
-) -> tuple[Diagnosis, WeighedProblem]:
-    """Short optimisations decide about weak hypotheses and about a mirror plane."""
-    diagnosis = _with_hypotheses_verified(scene, diagnosis, problem, settings, clock)
-    with clock.phase("prepare"):
-        weighed = weigh(problem, settings)
-    found = settings.symmetry == "auto" and problem.flipped
-    if found and settings.steps and weighed.field:
-        verify = partial(verify_plane, problem, weighed.weights.loss, weighed.field)
-        weighed = replace(weighed, problem=clock.attempt("check symmetry", verify, problem))
-    return diagnosis, weighed
-
-
-def _with_hypotheses_verified(
-    scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
 ) -> Diagnosis:
+    """Short optimisations decide about weak hypotheses."""
     if not diagnosis.unverified:
         return diagnosis
     meant = scene.read, scene.assumptions

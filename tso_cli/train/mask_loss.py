@@ -12,11 +12,9 @@ from torch.autograd.function import once_differentiable
 
 from ..errors import InputError
 from ..geometry.view import View
-from ..optimisation.objective import MaskChamferObjective, ViewTargets
-from ..optimisation.presets import BEST, SIGMA_SQ
+from ..optimisation.objective import ViewTargets
+from ..optimisation.presets import SIGMA_SQ
 from ..optimisation.resampled_view import CELLS, resample_view
-
-ROBUST_SCALE = BEST.robust_scale
 
 
 class MaskLoss:
@@ -29,17 +27,13 @@ class MaskLoss:
     Parameters
     ----------
     views : masks and their cameras; the cameras are in the units of the points.
-    robust_scale : a pair that is many times this far apart, in pixels of a window of 64, has almost
-        no gradient.
     cells : along each side of the window around the object, to which masks are resampled.
 
     Raises InputError if no cell of a window is known to be foreground, or if a depth map is not
     along z.
     """
 
-    def __init__(
-        self, views: View | Sequence[View], robust_scale: float = ROBUST_SCALE, cells: int = CELLS
-    ) -> None:
+    def __init__(self, views: View | Sequence[View], cells: int = CELLS) -> None:
         several = [views] if isinstance(views, View) else list(views)
         for view in several:
             if view.depth is not None and view.depth_kind not in ("auto", "z"):
@@ -50,8 +44,7 @@ class MaskLoss:
             resample_view(view, SIGMA_SQ, np.zeros(3), 1.0, cells=cells) for view in several
         ]
         targets = ViewTargets.of(resampled, [1.0 / len(several)] * len(several))
-        self._pixels = targets.pixels
-        self._objective = MaskChamferObjective(targets, robust_scale)
+        self._targets = targets
 
     def __call__(self, points: Tensor) -> Tensor:
         """The loss [] of a cloud [N, 3], or [B] of clouds [B, N, 3], per foreground pixel.
@@ -68,8 +61,8 @@ class MaskLoss:
 
     def value_and_gradient(self, points: Any) -> tuple[float, Any]:
         """The loss of a cloud [N, 3], and its gradient [N, 3], as numpy has them."""
-        value, gradient = self._objective(np.ascontiguousarray(points, dtype=np.float64))
-        return value / self._pixels, gradient / self._pixels
+        value, gradient = self._targets.loss(np.ascontiguousarray(points, dtype=np.float64))
+        return value / self._targets.pixels, gradient / self._targets.pixels
 
 
 class _Loss(torch.autograd.Function):

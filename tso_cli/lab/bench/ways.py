@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 from ...geometry.points import Array
 from ...geometry.view import View
 from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
-from ...optimisation.presets import BEST, Mode, Preset
+from ...optimisation.presets import Mode, Preset
 from ...refinement import RefineConfig
 from ..stability.peers import PEERS
 from ..studies.cases import Case
@@ -78,7 +78,6 @@ def _default(
 
 
 BOTH = (CLOUD, PREDICTION)
-COARSE = replace(BEST, fine_grid=False)
 WAYS: dict[str, Way] = {
     **dict(way for line in STEPS for way in _by_steps(line)),
     **{f"{DEFAULT}, {count} masks": _default("masks", BOTH, masks=count) for count in (2, 4)},
@@ -88,9 +87,6 @@ WAYS: dict[str, Way] = {
     f"{DEFAULT}, 512 move": Way(Variant(RefineConfig(points=512)), "moving", (CLOUD,)),
     f"{DEFAULT}, 4,096 points, all move": Way(
         Variant(RefineConfig(points=4096)), "", (CLOUD,), points=4096
-    ),
-    f"{DEFAULT}, 256 px, 64 cells": Way(
-        Variant(RefineConfig(recipe=COARSE)), "", (CLOUD,), size=256
     ),
     f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
     f"{DEFAULT}, move shape": Way(Variant(RefineConfig(move="shape")), "", (CLOUD,)),

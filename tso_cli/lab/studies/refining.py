@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Final
+from typing import Final
 
 from ...errors import TsoError
 from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
-from ...optimisation.presets import BEST, Mode, Preset
+from ...optimisation.presets import Mode, Preset
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
 from ..interrupts import uninterrupted
 from .cases import Case
@@ -27,10 +27,6 @@ class Variant:
     config: RefineConfig = field(default_factory=RefineConfig)
     masks: int = 1
     then: RefineConfig | None = None
-
-
-def _best_with(**changes: Any) -> Variant:
-    return Variant(RefineConfig(recipe=replace(BEST, **changes)))
 
 
 PAPER: Final = "paper"
@@ -57,26 +53,12 @@ COMBINED = {
     for mode in ("latent", "encoder-decoder")
 }
 NETWORK = {**POINTS, **ALONE, **COMBINED}
-# Adam's steps do not shrink with the gradient: at the preset's rate the cloud falls apart.
-ADAM_RATE = 2e-3
 ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
     "no mirror plane": POINTS[NO_SYMMETRY],
-    "no smoothing": _best_with(smoothness=0.0),
-    "64 cells a side": _best_with(fine_grid=False),
     "no learned prior": Variant(RefineConfig(prior=NO_PRIOR)),
-    "a right start is held no firmer": _best_with(firmness=1.0),
-    "no position prior": _best_with(prior_weight=0.0, least_prior_weight=0.0),
-    "truncated objects: no stronger prior": _best_with(truncated_prior=1.0),
-    "prior alike for each start": _best_with(prior_decay=0.0),
-    "prior down to 30 where the start is far off": _best_with(least_prior_weight=30.0),
-    "no robust loss": _best_with(robust_scale=1000.0),
-    "no resolvability": _best_with(use_resolvability=False),
-    "Adam per coordinate": Variant(
-        RefineConfig(learning_rate=ADAM_RATE, recipe=replace(BEST, uniform_adam=False))
-    ),
-    "Chamfer to the start added": Variant(RefineConfig(gamma=1e6)),
+    "one step": Variant(RefineConfig(steps=1)),
 }
 """The default preset with one ingredient changed in each row, below the paper's and itself."""
 

@@ -1,0 +1,61 @@
+"""The default preset: where its points end, the position prior, and unobserved parts."""
+
+import numpy as np
+import pytest
+
+from tests.losses.common import assert_gradient
+from tests.scenes import problem_of, seen
+from tso_cli import RefineConfig, refine
+from tso_cli.optimisation.learned_start import Beginning
+from tso_cli.optimisation.objective import PositionPrior
+from tso_cli.optimisation.optimise import optimise_points
+from tso_cli.render import look_at
+
+
+def test_points_outside_every_image_hardly_move():
+    """A long bar ends outside the left border of an image that shows the bar higher."""
+    axes = np.linspace(-2.0, 0.4, 120), np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 4)
+    bar = np.stack(np.meshgrid(*axes), -1).reshape(-1, 3)
+    camera = look_at(0.0, 0.0, 2.2, (64, 64))
+    observed = camera.project(bar)[0][:, 0] > -0.5
+    assert 0.3 < observed.mean() < 0.7
+    higher = seen(bar + [0.0, 0.06, 0.0], camera)
+    config = RefineConfig(symmetry="none", accept_doubtful=True)
+    moved = refine(bar, higher, config=config).points[:, 1] - bar[:, 1]
+    assert moved[observed].mean() > 0.02
+    assert np.abs(moved[~observed]).mean() < 0.15 * moved[observed].mean()
+
+
+@pytest.mark.parametrize("nearer", [True, False])
+def test_the_result_is_where_the_optimisation_began_if_no_step_is_better(chair, nearer):
+    """And the start, where the start agrees better with the views."""
+    problem = problem_of(chair.points, chair.view)
+    start = problem.cloud.start
+    target = problem.cloud.normalise(chair.target)[: len(start)]
+    begun = Beginning(target if nearer else start + [0.5, 0.0, 0.0])
+    # Such a step moves every point out of the picture.
+    found = optimise_points(problem, [1.0], 1, 1e3, begin=begun)
+    assert found.losses[1] > found.losses[0]
+    np.testing.assert_array_equal(found.best, begun.points if nearer else start)
+    assert (found.best_loss < found.first_loss) == nearer
+    assert found.best_step == 0
+
+
+def test_a_start_that_is_right_stays(chair):
+    problem = problem_of(chair.points, chair.view)
+    start = problem.cloud.start
+    for right in (False, True):
+        found = optimise_points(problem, [1.0], 5, begin=Beginning(start, right))
+        assert np.array_equal(found.best, start) == right
+        assert (found.best_loss == found.first_loss) == right
+
+
+def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):
+    """Its weight is stated for 1,024 points."""
+    initial = chair.points[::40]
+    prior = PositionPrior(initial, 7.0)
+    moved = initial + np.random.default_rng(0).normal(size=initial.shape)
+    squares = np.square(moved - initial).sum()
+    assert prior(moved)[0] == pytest.approx(7.0 * 1024.0 / len(initial) * squares)
+    assert_gradient(prior, moved)
+    assert prior(initial)[0] == 0.0
