@@ -60,6 +60,7 @@ REASONS = {
     "motion": "the points moved far, or without their neighbours",
     "prior": "the learned prior is unsure of this object",
     "misfit": "the cloud does not fit the mask afterwards",
+    "depth": "the depth maps do not agree with cloud and masks",
     "evidence": "few masks, or a plain outline, show little of the shape",
 }
 FINDING = "finding"
@@ -185,12 +186,18 @@ def words_of(diagnosis: Diagnosis) -> str:
     return f"it looks as if {joined(finding.says for finding in diagnosis.suspicious)}"
 
 
-def features_of(problem: Problem, optimised: Optimised, diagnosis: Diagnosis) -> dict[str, float]:
+def features_of(
+    problem: Problem,
+    optimised: Optimised,
+    diagnosis: Diagnosis,
+    misfit: tuple[tuple[float, float], tuple[float, float]],
+) -> dict[str, float]:
     """What the confidence is computed from, named GROUP: FEATURE.
 
-    ``problem`` has the windows of the optimisation. Without an answer of the learned prior its
-    sureness is left out.
+    ``misfit`` has the shares of the contours and of the depth maps that the cloud misses, before
+    and after. Without an answer of the learned prior its sureness is left out.
     """
+    (contours_before, depth_before), (contours_after, depth_after) = misfit
     start, best = problem.cloud.start, optimised.best
     begun = optimised.begun
     assert begun is not None, "a confidence is of the default preset"
@@ -207,6 +214,11 @@ def features_of(problem: Problem, optimised: Optimised, diagnosis: Diagnosis) ->
         "input: findings": 0.0 if diagnosis.outvoted else float(len(diagnosis.suspicious)),
         "evidence: border": _log(np.mean([_border(view.target.inside) for view in views])),
         "evidence: views": _log(len(views)),
+        "misfit: contours before": contours_before,
+        "misfit: contours after": contours_after,
+        "depth: maps": float(any(view.depth is not None for view in views)),
+        "depth: missed before": depth_before,
+        "depth: missed after": depth_after,
     }
 
 

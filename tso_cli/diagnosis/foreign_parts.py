@@ -19,8 +19,7 @@ from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..pose.causes import EXPLAINED_WITHOUT_MOVING
 from ..pose.move import Body
-from ..pose.placement import Placements
-from ..pose.placing import Placing
+from ..pose.placing import misfit_of
 
 # Cells along the side of the square in which silhouette and mask are compared, and the side of the
 # square in longer sides of the cloud's box.
@@ -84,8 +83,7 @@ def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
     without = without_parts(views, parts) if parts else None
     if without is None:
         return {}
-    missed = float(Placing(body, tuple(without)).comparison.missed(Placements.unmoved())[0])
-    return parts if missed < EXPLAINED_WITHOUT_MOVING else {}
+    return parts if misfit_of(body, without)[0] < EXPLAINED_WITHOUT_MOVING else {}
 
 
 def without_parts(views: Sequence[View], parts: Mapping[int, Parts]) -> list[View] | None:

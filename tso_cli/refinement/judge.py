@@ -24,7 +24,8 @@ from ..optimisation.optimise import WeighedProblem
 from ..optimisation.presets import FEWEST_CONTROL_POINTS
 from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
-from ..pose.move import Move
+from ..pose.move import Body, Move
+from ..pose.placing import misfit_of
 from .decisions import decisions
 from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
 
@@ -182,8 +183,14 @@ def _ending(
     else:
         explained = None if move.kind == "nothing" else move.explains
         features = None
-        if settings.smooth and problem.masks_alone:
-            features = features_of(problem, optimised, diagnosis)
+        if settings.smooth and all(view.image is None for view in problem.views):
+            cloud = problem.cloud
+            bodies = (
+                Body(points, cloud.centre, cloud.scale)
+                for points in (cloud.measured, moved.measured)
+            )
+            before, after = (misfit_of(body, problem.views) for body in bodies)
+            features = features_of(problem, optimised, diagnosis, (before, after))
         trust = Trust.of(features, diagnosis, explained)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
     before, after = np.mean(of_shape, 0)
