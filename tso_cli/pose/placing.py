@@ -26,6 +26,7 @@ from .search import (
     some_views,
 )
 from .starts import closed_iou, size_of_object
+from .target import Part
 
 # The default does not move a cloud by more of the standard deviations below.
 MOST_DEVIATIONS = 2.5
@@ -47,10 +48,17 @@ OTHER_UNITS = 5.0
 BRINGS_LITTLE = 0.1
 
 
-def misfit_of(body: Body, views: Sequence[View]) -> tuple[float, float]:
-    """The share of the contours that a cloud misses where it is, and of depth maps (0 without)."""
-    comparison, here = Placing(body, tuple(views)).comparison, Placements.unmoved()
-    depth = comparison.depth()
+def misfit_of(
+    body: Body, views: Sequence[View], parts: Sequence[Part | None] = ()
+) -> tuple[float, float]:
+    """The share of the contours that a cloud misses where it is, and of depth maps (0 without).
+
+    ``parts`` : what of each view counts; all of it by default.
+    """
+    problem = Placing(body, tuple(views))
+    some = some_views(parts, MOST_VIEWS) if parts else ()
+    comparison = Comparison.of(problem.points, problem.normalised, some)
+    here, depth = Placements.unmoved(), comparison.depth()
     of_depth = 0.0 if depth is None else float(depth(here).value[0])
     return float(comparison.missed(here)[0]), of_depth
 
