@@ -311,7 +311,8 @@ REFINE_MUCH = (
     "import numpy as np\nfrom tso_cli.refinement import RefineConfig, refine, refine_batch\n"
     "mask = np.zeros((64, 64))\nmask[20:44, 20:44] = 1\n"
     "points = np.random.default_rng(0).uniform(-0.3, 0.3, (16384, 3))\n"
-    "assert refine(points, mask, config=RefineConfig(steps=200)).fit.steps == 200\n"
+    "config = RefineConfig(steps=200, accept_doubtful=True)\n"
+    "assert refine(points, mask, config=config).fit.steps == 200\n"
     "refine_batch([(points[:256], mask)] * 200, RefineConfig(steps=1))\n"
 )
 

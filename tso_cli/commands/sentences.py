@@ -32,6 +32,7 @@ OPTIONS = {
     "aspect": "K of the picture that the mask is of",
     "principal-point": "K of the picture that the mask is of, or --move pose",
     "outline": "a mask whose outline is that of the object",
+    "depth-contradicts": "--depth-kind affine, or --accept-doubtful",
     "pose": "--move pose",
     "shift": "--move pose",
 }

@@ -16,7 +16,7 @@ from ..optimisation.view_weights import FEWEST_VIEWS_TO_OUTVOTE
 from ..pose.move import Body, Move
 from . import symptoms
 from .assumptions import Assumption
-from .causes import findings_of_causes, findings_of_parts
+from .causes import depth_that_contradicts, findings_of_causes, findings_of_parts
 from .cells import Outline
 from .explain import OUTVOTED_SHARE, Explanation, explain
 from .findings import Finding
@@ -136,8 +136,11 @@ def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Mov
     if move.causes:
         return replace(diagnosis, of_input=findings_of_causes(move.causes, views), weak=())
     fits = move.fits and all(view.image is None for view in views)
-    if fits or np.isnan(move.missed):
-        return replace(diagnosis, fits=fits, weak=() if fits else diagnosis.weak)
+    if fits:
+        contradicted = depth_that_contradicts(body, views)
+        return replace(diagnosis, fits=True, weak=(), of_input=contradicted)
+    if np.isnan(move.missed):
+        return diagnosis
     parts = parts_that_explain(body, views)
     if not parts:
         return diagnosis

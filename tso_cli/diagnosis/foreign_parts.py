@@ -18,7 +18,7 @@ from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..pose.causes import EXPLAINED_WITHOUT_MOVING
 from ..pose.move import Body
-from ..pose.placing import misfit_of
+from ..pose.placing import misfit_in_parts
 from ..pose.target import Part
 
 # Cells along the side of the square in which silhouette and mask are compared, and the side of the
@@ -30,6 +30,8 @@ APART = 2.5
 LEAST_SHARE = 0.01
 # Around a part the contour says nothing either, up to this many times `APART`.
 AROUND = 2.0
+# The parts leave at least this share of the contours around the cloud: less would fit any cloud.
+LEAST_KEPT = 0.5
 # Points that are further out than this share, at both ends of both axes, do not count for the box.
 TAIL = 0.005
 
@@ -86,9 +88,10 @@ def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
         if part and not (view.inside & ~part.ignored).any():
             return {}
     parts = {number: part for number, part in enumerate(by_view) if part}
-    if not parts or misfit_of(body, views, counted)[0] >= EXPLAINED_WITHOUT_MOVING:
+    if not parts:
         return {}
-    return parts
+    missed, kept = misfit_in_parts(body, views, counted)
+    return parts if missed < EXPLAINED_WITHOUT_MOVING and kept >= LEAST_KEPT else {}
 
 
 def _box_around(points: Array, view: View) -> Box:

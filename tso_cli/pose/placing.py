@@ -48,19 +48,28 @@ OTHER_UNITS = 5.0
 BRINGS_LITTLE = 0.1
 
 
-def misfit_of(
-    body: Body, views: Sequence[View], parts: Sequence[Part | None] = ()
-) -> tuple[float, float]:
-    """The share of the contours that a cloud misses where it is, and of depth maps (0 without).
-
-    ``parts`` : what of each view counts; all of it by default.
-    """
-    problem = Placing(body, tuple(views))
-    some = some_views(parts, MOST_VIEWS) if parts else ()
-    comparison = Comparison.of(problem.points, problem.normalised, some)
-    here, depth = Placements.unmoved(), comparison.depth()
+def misfit_of(body: Body, views: Sequence[View]) -> tuple[float, float]:
+    """The share of the contours that a cloud misses where it is, and of depth maps (0 without)."""
+    comparison, here = Placing(body, tuple(views)).comparison, Placements.unmoved()
+    depth = comparison.depth()
     of_depth = 0.0 if depth is None else float(depth(here).value[0])
     return float(comparison.missed(here)[0]), of_depth
+
+
+def misfit_in_parts(
+    body: Body, views: Sequence[View], parts: Sequence[Part | None]
+) -> tuple[float, float]:
+    """The share of the contours that a cloud misses in ``parts`` of views (None: in all of it).
+
+    And the share of the contours in the squares of the parts that the parts hold.
+    """
+    problem, some = Placing(body, tuple(views)), some_views(parts, MOST_VIEWS)
+    whole = [part and (part[0], np.ones_like(part[1])) for part in some]
+    counted, all_of_it = (
+        Comparison.of(problem.points, problem.normalised, chosen) for chosen in (some, whole)
+    )
+    pieces = [sum(contour.pieces for contour in one.contours) for one in (counted, all_of_it)]
+    return float(counted.missed(Placements.unmoved())[0]), pieces[0] / pieces[1]
 
 
 def find_asked_move(

@@ -45,7 +45,8 @@ def run(
     move, scene = _moved(scene, cloud, settings, clock)
     with clock.phase("prepare"):
         diagnosis = _examined(scene, cloud, settings)
-        diagnosis = explained(diagnosis, cloud.body, scene.views, move)
+        if settings.smooth:
+            diagnosis = explained(diagnosis, cloud.body, scene.views, move)
         if diagnosis.hidden:
             scene = scene.without(diagnosis.hidden)
             pairs = zip(given, scene.views, strict=True)
