@@ -30,7 +30,8 @@ from .placement import (
     Placements,
 )
 from .placing import Placing, find_asked_move
-from .search import EXPLAINED, FROM_AFAR, LEFT, NEARER, PROMISING_UNASKED, search_from
+from .search import EXPLAINED, FROM_AFAR, LEFT, NEARER, PROMISING_UNASKED, SIDE, search_from
+from .target import MARGIN
 
 Name = Literal["shift", "pose", "focal-length", "aspect", "principal-point", "outline", "stretch"]
 OF_PLACE: tuple[Name, ...] = ("shift", "pose")
@@ -45,10 +46,10 @@ DEVIATIONS[GROWTH] = 3.0
 MOST_DEVIATIONS = 2.5
 # Steps of each descent; a search that looks promising has more.
 FEW_STEPS = 8
-# Smaller errors of a camera or a mask are those of a right one. They may explain a misfit, but then
-# the shape of the cloud is nearly right too.
-LEAST_CHANGE = {FOCAL: 0.03, ASPECT: 0.03, GROWTH: 0.75}
-LEAST_SHIFT_OF_PICTURE = 0.02
+# Smaller errors of a camera or a mask are those of a right one: pixels by which the contour moves,
+# logarithms, longer sides of the picture. They may explain a misfit, but then the shape is nearly
+# right too.
+LEAST_PIXELS, LEAST_FACTOR, LEAST_SHIFT = 0.75, 0.03, 0.02
 # All exact validation clouds miss less than this, and some of other proportions do.
 FITS_NEARLY = 0.26
 # What of the contours an unknown must explain: with six more unknowns a cloud of a right shape and
@@ -66,13 +67,15 @@ class Cause:
     """Something that may be wrong.
 
     unknowns : how many numbers were fitted. missed : share of the contours that the cloud misses if
-    this is mended. placement : how cloud, cameras and masks are then.
+    this is mended. placement : how cloud, cameras and masks are then. across : longer side of the
+    object, pixels of the mask.
     """
 
     name: Name
     unknowns: int
     missed: float
     placement: Placements
+    across: float
 
     @property
     def cost(self) -> float:
@@ -92,10 +95,15 @@ class Cause:
     @property
     def is_small(self) -> bool:
         """Whether a right camera or mask may be as far off."""
+        change = self.change
+        if self.name == "outline":
+            return bool(abs(change[GROWTH]) < LEAST_PIXELS)
         if self.name == "principal-point":
-            return bool(np.linalg.norm(self.change[PRINCIPAL]) < LEAST_SHIFT_OF_PICTURE)
-        unknown = {"focal-length": FOCAL, "aspect": ASPECT, "outline": GROWTH}.get(self.name)
-        return unknown is not None and bool(abs(self.change[unknown]) < LEAST_CHANGE[unknown])
+            return bool(np.linalg.norm(change[PRINCIPAL]) < LEAST_SHIFT)
+        if self.of_place or self.name == "stretch":
+            return False
+        factor = abs(change[FOCAL if self.name == "focal-length" else ASPECT])
+        return bool(factor < LEAST_FACTOR or factor * self.across / 2.0 < LEAST_PIXELS)
 
 
 def find_move(
@@ -120,6 +128,8 @@ def find_likely_move(
     given = float(problem.comparison.missed(Placements.unmoved())[0])
     if given < FITS:
         return unmoved(views, "the cloud fits the contours where it is", given)
+    if any(view.image is not None for view in views):
+        return unmoved(views, "a photo may contradict the contours", given)
     # Of size and distance, the distance stays: it is longer than the object, so that a wrong
     # distance is a larger error than a wrong size.
     keep = "distance" if keep == "auto" and not problem.both_found else keep
@@ -134,7 +144,9 @@ def find_likely_move(
         settled = given < FITS_NEARLY and stretch.missed > LEFT_WITHOUT_MOVING * given
         why = "the cloud fits the contours where it is"
         if not settled:
-            why = problem.why_fixed or "no small turn and shift explains the misfit"
+            why = "no small turn and shift explains the misfit"
+            if any(view.truncated for view in views):
+                why = "a picture cuts off the object"
         return replace(unmoved(views, why, given), settled=settled)
     rivals.sort(key=lambda cause: cause.cost)
     likely = [cause for cause in rivals if cause.cost < rivals[0].cost + SIMILAR]
@@ -178,7 +190,8 @@ def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[
             "aspect": unit[:, [ASPECT]],
             "principal-point": unit[:, PRINCIPAL],
         }
-    if may_move and problem.why_fixed is None:
+    # Where a picture cuts off the object, the contour does not show where it is.
+    if may_move and not any(view.truncated for view in problem.views):
         bases |= {
             "shift": problem.freedom("shift", keep)[0].basis,
             "pose": problem.freedom("pose", keep)[0].basis,
@@ -191,8 +204,9 @@ def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[
     for scale in (FROM_AFAR, max(NEARER, comparison.outline), comparison.outline):
         placements, _ = improve(placements, comparison.exact(scale), freedom, FEW_STEPS)
     missed = comparison.missed(placements)
+    across = max(SIDE / MARGIN / target.pixel for target in comparison.targets)
     causes = [
-        Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1])
+        Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1], across)
         for i, name in enumerate(bases)
     ]
     pose = next((cause for cause in causes if cause.name == "pose"), None)
@@ -236,4 +250,4 @@ def _searched(problem: Placing, cause: Cause, freedom: Freedom) -> Cause:
     best = search_from(problem.comparison, freedom, PROMISING_UNASKED)
     if best.missed >= cause.missed:
         return cause
-    return Cause(cause.name, cause.unknowns, best.missed, best.placement)
+    return replace(cause, missed=best.missed, placement=best.placement)

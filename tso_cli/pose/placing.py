@@ -155,15 +155,6 @@ class Placing:
             freedom = replace(freedom, given=of_depth)
         return freedom, kept
 
-    @property
-    def why_fixed(self) -> str | None:
-        """Why contours do not show where the cloud is; None if they do."""
-        if any(view.truncated for view in self.views):
-            return "a picture cuts off the object"
-        if any(view.image is not None for view in self.views):
-            return "a photo may contradict the contours"
-        return None
-
     def moved(
         self, kind: Moved, placement: Placements, given: float, missed: float, keep: Keep
     ) -> Move:
