@@ -1,0 +1,110 @@
+"""What explains a misfit: a right cloud under a wrong camera or mask stays, and the cause is named.
+
+The masks are rendered from the true meshes. Every camera is right but for what a test says.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_dilation, binary_erosion
+
+from tests.scenes import about, example
+from tso_cli import RefineConfig, View, refine
+from tso_cli.cloud.cloud import Cloud
+from tso_cli.pose.causes import find_move
+from tso_cli.pose.placement import ASPECT, FOCAL, GROWTH, PRINCIPAL
+
+SHAPES = {name: example(name) for name in ("chair", "car", "airplane")}
+EVERY_SHAPE = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+
+
+def _view(shape, change=None) -> View:
+    """The rendered view of a shipped shape, 256 pixels wide, with K after the ``change``."""
+    if change is None:
+        return shape.view
+    K = shape.camera.K.copy()
+    change(K)
+    return replace(shape.view, camera=replace(shape.camera, K=K))
+
+
+def _zoomed(K):
+    K[[0, 1], [0, 1]] *= 1.1
+
+
+def _squashed(K):
+    K[1, 1] *= 1.18
+
+
+def _cropped(K):
+    K[:2, 2] += [18.0, -12.0]
+
+
+def _causes_of(points, view):
+    move = find_move(Cloud(points, "points").controlled().body, [view])
+    assert move.kind == "nothing"
+    return {cause.name: cause for cause in move.causes}
+
+
+@EVERY_SHAPE
+@pytest.mark.parametrize(
+    ("change", "name", "unknown", "mended"),
+    [
+        (_zoomed, "focal-length", FOCAL, [np.log(1.0 / 1.1)]),
+        (_squashed, "aspect", ASPECT, [np.log(1.0 / 1.18)]),
+        (_cropped, "principal-point", PRINCIPAL, [-18.0 / 256.0, 12.0 / 256.0]),
+    ],
+    ids=["focal length", "squashed", "cropped"],
+)
+def test_a_right_cloud_before_a_wrong_camera_stays_and_the_camera_is_named(
+    shape, change, name, unknown, mended
+):
+    view = _view(shape, change)
+    cause = _causes_of(shape.target, view)[name]
+    np.testing.assert_allclose(np.atleast_1d(cause.change[unknown]), mended, atol=0.03)
+    result = refine(shape.target, view)
+    np.testing.assert_array_equal(result.points, shape.target)
+    assert result.trust.verdict == "doubtful"
+
+
+@EVERY_SHAPE
+@pytest.mark.parametrize("pixels", [5, -4])
+def test_a_mask_that_is_grown_or_shrunk_on_all_sides_bends_no_right_cloud(shape, pixels):
+    view = _view(shape)
+    change = binary_dilation if pixels > 0 else binary_erosion
+    mask = change(view.mask > 0.5, np.ones((3, 3)), iterations=abs(pixels))
+    view = replace(view, mask=np.float32(mask))
+    # The edge of a cloud lies inside that of its surface.
+    cause = _causes_of(shape.target, view)["outline"]
+    assert cause.change[GROWTH] == pytest.approx(pixels, abs=2.0)
+    np.testing.assert_array_equal(refine(shape.target, view).points, shape.target)
+
+
+@EVERY_SHAPE
+def test_another_shape_is_explained_by_no_camera_and_no_mask(shape):
+    for change in (None, _zoomed, _squashed):
+        assert _causes_of(shape.points, _view(shape, change)) == {}
+
+
+@EVERY_SHAPE
+def test_a_right_cloud_in_its_place_fits_and_nothing_is_done(shape):
+    view = _view(shape)
+    assert find_move(Cloud(shape.target, "points").controlled().body, [view]).fits
+    result = refine(shape.target, view)
+    assert (result.trust.verdict, result.fit.stop_reason) == ("unchanged", "fits")
+    np.testing.assert_array_equal(result.points, shape.target)
+
+
+@EVERY_SHAPE
+def test_a_cloud_that_is_turned_is_turned_back_as_no_camera_explains_it(shape):
+    view = _view(shape)
+    wrong = shape.target @ about("y", 7.0).T @ about("x", 5.0).T
+    move = find_move(Cloud(wrong, "points").controlled().body, [view])
+    assert move.kind == "pose"
+    assert shape.error(move.apply(wrong)) < 0.6 * shape.error(wrong)
+
+
+def test_who_asks_for_the_shape_alone_gets_no_camera_named():
+    chair = SHAPES["chair"]
+    result = refine(chair.target, _view(chair, _zoomed), config=RefineConfig(move="shape"))
+    assert "focal-length" not in [finding.name for finding in result.findings]
