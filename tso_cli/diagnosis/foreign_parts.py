@@ -19,7 +19,7 @@ from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..pose.causes import EXPLAINED_WITHOUT_MOVING
 from ..pose.move import Body
-from ..pose.placing import misfit_of
+from ..pose.placing import missed_by
 
 # Cells along the side of the square in which silhouette and mask are compared, and the side of the
 # square in longer sides of the cloud's box.
@@ -83,7 +83,7 @@ def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
     without = without_parts(views, parts) if parts else None
     if without is None:
         return {}
-    return parts if misfit_of(body, without)[0] < EXPLAINED_WITHOUT_MOVING else {}
+    return parts if missed_by(body, without) < EXPLAINED_WITHOUT_MOVING else {}
 
 
 def without_parts(views: Sequence[View], parts: Mapping[int, Parts]) -> list[View] | None:

@@ -47,12 +47,9 @@ OTHER_UNITS = 5.0
 BRINGS_LITTLE = 0.1
 
 
-def misfit_of(body: Body, views: Sequence[View]) -> tuple[float, float]:
-    """The share of the contours that a cloud misses where it is, and of depth maps (0 without)."""
-    comparison, here = Placing(body, tuple(views)).comparison, Placements.unmoved()
-    depth = comparison.depth()
-    of_depth = 0.0 if depth is None else float(depth(here).value[0])
-    return float(comparison.missed(here)[0]), of_depth
+def missed_by(body: Body, views: Sequence[View]) -> float:
+    """The share of the contours that a cloud misses where it is."""
+    return float(Placing(body, tuple(views)).comparison.missed(Placements.unmoved())[0])
 
 
 def find_asked_move(
