@@ -33,10 +33,9 @@ JOBS = [(trouble, start) for trouble in TROUBLES for start in trouble.starts]
 RIGHT = ("nothing wrong", "depth right")
 """With these, a start of another shape is a right scene."""
 RIGHT_VIEWS, RIGHT_TIMES = (1, 2, 4), 17
-"""The numbers of masks of scenes in which nothing is wrong, and how many there are of them for each
-scene of a trouble and start."""
+"""Numbers of masks where nothing is wrong; so many of these scenes for one of another kind."""
 SCENES, FITTED_SCENES = 6, 20
-"""Of each trouble and start: those that are judged, and those of the fit."""
+"""Of each trouble and start: those of the record, and those of the fit."""
 ACCEPTING = RefineConfig(accept_doubtful=True)
 # The confidence is meant for users of whom so many have right input.
 RIGHT_SHARE = 0.5
@@ -53,9 +52,8 @@ CONVENTION = {
     f"distance before; better: under {BETTER} times",
     "right scenes": "nothing is wrong, or only depth maps are added, which are right; the start is "
     "another shape; in one, two or four masks",
-    "in trouble": "something is wrong, or the start is exact; a list of troubles is in the study "
-    "of harm",
-    "moved": "the shape moved; with --accept-doubtful also where it would be left as it was",
+    "in trouble": "something is wrong, as in the study of harm, or the start is exact",
+    "moved": "the shape moved, also where it would be left as it was: --accept-doubtful",
     "AUC": "of those that moved: the chance that a worse result has less confidence than one that "
     "is not worse",
     "flagged": "doubtful, for low confidence or because of a finding",
@@ -83,14 +81,12 @@ def rows_of(scenes: Gallery, trouble: Trouble, start: str, count: int) -> Iterat
 
 def row_of(names: Record, scene: Scene | InputError) -> Row:
     """What became of a scene, with the features of its result."""
-    refused = {**names, "refused": True}
     if isinstance(scene, InputError):
-        return refused, {}
+        return {**names, "refused": True}, {}
     try:
         result = uninterrupted(refine(scene.initial, scene.views, config=ACCEPTING))
     except TsoError as error:
-        uninterrupted(error)
-        return refused, {}
+        return row_of(names, InputError(str(uninterrupted(error))))
     trust, fit = result.trust, result.fit
     finding = any(one.suspicious for one in result.findings)
     doubtful = trust.verdict == "doubtful"
@@ -199,8 +195,8 @@ def _logistic(values: Floats, worse: Floats, weights: Floats, penalty: float) ->
     from scipy.optimize import minimize
 
     def loss(slopes: Floats) -> float:
-        size = float(np.square(slopes[:-1]).sum())
-        return _cross_entropy(slopes, values, worse, weights) + penalty * size
+        size = penalty * float(np.square(slopes[:-1]).sum())
+        return _cross_entropy(slopes, values, worse, weights) + size
 
     slopes: Floats = minimize(loss, np.zeros(values.shape[1] + 1)).x
     return slopes
@@ -216,17 +212,18 @@ def auc(confidence: Floats, worse: NDArray[np.bool_]) -> float | None:
     """
     from scipy.stats import rankdata
 
-    count = int(worse.sum())
-    if not 0 < count < len(worse):
+    count, others = int(worse.sum()), int((~worse).sum())
+    if not count * others:
         return None
     ranks = rankdata(-confidence)[worse].sum()
-    return float((ranks - count * (count + 1) / 2) / (count * (len(worse) - count)))
+    return float((ranks - count * (count + 1) / 2) / (count * others))
 
 
 def conclude(cases: Cases) -> Record:
     """Figures by kind of scene and by trouble; what each limit changes; reliability; claims."""
-    right = [case for case in cases if is_right(case)]
-    trouble = [case for case in cases if not is_right(case)]
+    right, trouble = (
+        [case for case in cases if is_right(case) is wanted] for wanted in (True, False)
+    )
     chosen = {"all": cases, "right scenes": right, "in trouble": trouble}
     for start, rows in grouped(trouble, "start").items():
         chosen[f"in trouble, {start}"] = rows
@@ -277,9 +274,9 @@ def _figures(cases: Cases) -> Record:
 def _limits(cases: Cases) -> list[list[float]]:
     """For each limit of the confidence: what it changes, as shares of cases.
 
-    Of right scenes those below it and the gains below it; of those in trouble, with a start of
-    another shape, what is worse and not below it, and the gains below it; the log ratio if what is
-    below it stays as it was.
+    Of right scenes those below it and their gains; of those in trouble, with a start of another
+    shape, what is worse and not below it, and the gains below it; the log ratio if what is below
+    it stays as it was.
     """
     of, weights = _columns(cases), _weights(cases)
     right = np.array([is_right(case) for case in cases])
@@ -295,11 +292,7 @@ def _limits(cases: Cases) -> list[list[float]]:
 
 
 def _mixture(cases: Cases) -> Record:
-    """Of a mixture with `RIGHT_SHARE` of right scenes: what leaving some clouds changes.
-
-    always, left : log ratio if the points always move, and if the clouds that tso leaves stay as
-        they are. worse, unflagged : share that gets worse, and without a word.
-    """
+    """The log ratio if all points move, and as tso leaves some; shares worse, and not flagged."""
     of, share = _columns(cases), _weights(cases)
     log, worse = share * np.log(of["ratio"]), share * (of["ratio"] > WORSE)
     shares = {"always": log, "left": log * ~of["left"]}
@@ -312,11 +305,10 @@ def _reliability(cases: Cases) -> list[list[float]]:
     of = _columns([case for case in cases if case.get("moved")])
     confidence, worse = of["confidence"], of["ratio"] > WORSE
     bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
-    table = []
-    for here in (bins == number for number in range(BINS)):
-        if here.any():
-            table.append([int(here.sum()), confidence[here].mean(), 1.0 - worse[here].mean()])
-    return table
+    return [
+        [int(here.sum()), confidence[here].mean(), 1.0 - worse[here].mean()]
+        for here in (bins == number for number in np.unique(bins))
+    ]
 
 
 def tables(record: Record) -> list[Table]:
@@ -327,14 +319,13 @@ def tables(record: Record) -> list[Table]:
         for key in ("summary", "troubles")
     )
     columns = ["log ratio, always moved", "as tso does", "worse", "worse, not flagged"]
-    note = f"{RIGHT_SHARE:.0%} right scenes; mean logarithm of after / before, and shares"
     limits = ["limit", "right below", "right, better below", "in trouble, worse not below"]
     limits += ["in trouble, better below", "log ratio if below stays"]
-    about = "In trouble: with a start of another shape."
+    about = "In trouble: other starts."
     return [
         Table(["scenes", *header], rows),
         Table(limits, record["limits"], "Limits of the confidence", about),
-        Table(columns, [list(record["mixture"].values())], "Mixture", note),
+        Table(columns, [list(record["mixture"].values())], "Mixture"),
         Table(["moved", "confidence", "not worse"], record["reliability"], "Reliability"),
         Table(["trouble, start", *header], troubles, "By trouble"),
     ]
