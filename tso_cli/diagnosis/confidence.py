@@ -24,7 +24,7 @@ Verdict = Literal["improved", "unchanged", "doubtful"]
 
 MODEL = Path(__file__).with_name("confidence.json")
 # A result with less confidence is doubtful. Both limits were chosen on 1,340 scenes of training
-# shapes (`tso lab confidence`), each seen by a fit without its shape. In trouble, with a start of
+# shapes (`tso lab confidence`), each rated by a fit without its shape. In trouble, with a start of
 # another shape, 12 % would get worse without a word at 0.5, 8 % at 0.8, and 4 % at 0.9. Of right
 # scenes 4 % are doubtful at 0.5, nearly all for a finding, 12 % at 0.8, and 27 % at 0.9.
 LEAST_CONFIDENCE = 0.8
