@@ -80,8 +80,8 @@ def test_an_inverted_mask_is_reported_with_the_option_that_mends_it(inverted, re
     assert run.err.count("\n") == 1
     assert "the result is doubtful, so the cloud is left as it was: it looks as if" in run.err
     assert "the mask is inverted: try --assume mask-inverted" in run.err
-    assert "(doubtful, confidence" in run.out
-    assert "nothing: the displacement is doubtful (--accept-doubtful takes it all the" in run.out
+    assert "(doubtful)" in run.out
+    assert "nothing: the input looks wrong (--accept-doubtful refines the cloud all the" in run.out
     assert (read_cloud("initial.refined.ply").points == read_cloud("initial.ply").points).all()
     accepted = refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document
     assert accepted["step_taken"] is True

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tests.scenes import EXAMPLES, about, example, seen
+from tests.scenes import EXAMPLES, about, example, seen, turned
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.errors import InputError
@@ -50,7 +50,8 @@ def test_a_right_shape_in_a_wrong_pose_is_moved_back_by_default(shown):
 
 
 def test_a_shifted_cloud_is_shifted_and_not_turned():
-    move = _move(CHAIR.target + [0.06, 0.04, 0.0], CHAIR.view)
+    views = [CHAIR.view, seen(CHAIR.target, turned(CHAIR.camera, 90.0))]
+    move = _move(CHAIR.target + [0.06, 0.04, 0.0], *views)
     assert move.kind == "shift"
     np.testing.assert_allclose(move.matrix[:3, :3], np.eye(3), atol=1e-12)
 

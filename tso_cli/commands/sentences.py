@@ -216,6 +216,8 @@ def why_unmoved(result: RefineResult) -> str | None:
     if fit.outcome == "moved":
         return None
     masks = "the mask shows" if len(result.views) == 1 else "the masks show"
+    if fit.outcome == "refused" and result.trust.reason == FINDING:
+        return "the input looks wrong (--accept-doubtful refines the cloud all the same)"
     if fit.outcome == "refused":
         return "the displacement is doubtful (--accept-doubtful takes it all the same)"
     return {

@@ -6,13 +6,12 @@ the object; or a cloud holds a floor. Then the cloud fits its masks as soon as t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ..errors import InputError
 from ..evaluation.footprint import footprint, nearest_cell
 from ..geometry.arrays import Array, Bits, Box
 from ..geometry.resampling import area_resize
@@ -20,10 +19,11 @@ from ..geometry.view import View
 from ..pose.causes import EXPLAINED_WITHOUT_MOVING
 from ..pose.move import Body
 from ..pose.placing import missed_by
+from ..pose.target import Part
 
 # Cells along the side of the square in which silhouette and mask are compared, and the side of the
 # square in longer sides of the cloud's box.
-CELLS, MARGIN = 96, 1.5
+CELLS, MARGIN = 96, 1.3
 # A part lies this many cells from what the other has, beyond a pixel of the mask.
 APART = 2.5
 # Smaller parts, in shares of the silhouette, are none.
@@ -38,10 +38,12 @@ TAIL = 0.005
 class Parts:
     """What of one view does not belong together.
 
-    ignored : [H, W], pixels around the parts. in_mask, in_cloud : the areas of the parts that the
-    mask has and the cloud lacks, and the other way round, in silhouettes of the cloud.
+    box : the square around the cloud. ignored : [H, W], pixels around the parts. in_mask,
+    in_cloud : the areas of the parts that the mask has and the cloud lacks, and the other way
+    round, in silhouettes of the cloud.
     """
 
+    box: Box
     ignored: Bits
     in_mask: float
     in_cloud: float
@@ -71,32 +73,22 @@ def foreign_parts(points: Array, view: View) -> Parts | None:
     of_mask, of_cloud = float(in_mask.sum() + outside) / area, float(in_cloud.sum()) / area
     if of_mask + of_cloud == 0.0:
         return None
-    return Parts(ignored | beyond, of_mask, of_cloud)
+    return Parts(box, ignored | beyond, of_mask, of_cloud)
 
 
 def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
     """By number of the view, the parts without which a cloud fits its masks; {} if it does not."""
-    points = body.points
-    parts = {
-        number: part for number, view in enumerate(views) if (part := foreign_parts(points, view))
-    }
-    without = without_parts(views, parts) if parts else None
-    if without is None:
+    by_view = [foreign_parts(body.points, view) for view in views]
+    counted: list[Part | None] = []
+    for view, part in zip(views, by_view, strict=True):
+        known = np.ones(view.mask.shape, bool) if view.known is None else view.known
+        counted.append((part.box, known & ~part.ignored) if part else None)
+        if part and not (view.inside & ~part.ignored).any():
+            return {}
+    parts = {number: part for number, part in enumerate(by_view) if part}
+    if not parts or missed_by(body, views, counted) >= EXPLAINED_WITHOUT_MOVING:
         return {}
-    return parts if missed_by(body, without) < EXPLAINED_WITHOUT_MOVING else {}
-
-
-def without_parts(views: Sequence[View], parts: Mapping[int, Parts]) -> list[View] | None:
-    """The views that ignore the ``parts``; None if one shows nothing then."""
-    changed = list(views)
-    for number, part in parts.items():
-        known = views[number].known
-        kept = np.ones_like(part.ignored) if known is None else known
-        try:
-            changed[number] = replace(views[number], known=kept & ~part.ignored)
-        except InputError:
-            return None
-    return changed
+    return parts
 
 
 def _box_around(points: Array, view: View) -> Box:
@@ -109,7 +101,7 @@ def _box_around(points: Array, view: View) -> Box:
 
 
 def _large_parts(cells: Bits, least: float) -> Bits:
-    """The connected parts of ``cells`` [C, C] with at least so many cells."""
+    """The connected parts of ``cells`` [C, C] with at least ``least`` cells."""
     # Every cell takes the largest number of its neighbours until all of a part have one number.
     number = np.where(cells, np.arange(1, cells.size + 1).reshape(cells.shape), 0)
     while True:

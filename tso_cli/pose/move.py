@@ -42,6 +42,7 @@ class Move:
     why_unsure : why one of them may be right instead; "" if the place is sure, or if it was only
         searched near where the cloud was given. why_unmoved : why nothing moved; "" else.
     causes : what explains the misfit about equally well, where nothing moves for that reason.
+    settled : whether the cloud fits nearly, and a cloud of other proportions hardly fits better.
     """
 
     kind: Moved
@@ -55,11 +56,12 @@ class Move:
     why_unsure: str = ""
     why_unmoved: str = ""
     causes: tuple[Cause, ...] = ()
+    settled: bool = False
 
     @property
     def fits(self) -> bool:
         """Whether the cloud fits the contours, after the move."""
-        return self.missed < FITS
+        return self.settled or self.missed < FITS
 
     @property
     def is_far(self) -> bool:

@@ -26,6 +26,7 @@ from .search import (
     some_views,
 )
 from .starts import closed_iou, size_of_object
+from .target import Part
 
 # The default does not move a cloud by more of the standard deviations below.
 MOST_DEVIATIONS = 2.5
@@ -47,9 +48,15 @@ OTHER_UNITS = 5.0
 BRINGS_LITTLE = 0.1
 
 
-def missed_by(body: Body, views: Sequence[View]) -> float:
-    """The share of the contours that a cloud misses where it is."""
-    return float(Placing(body, tuple(views)).comparison.missed(Placements.unmoved())[0])
+def missed_by(body: Body, views: Sequence[View], parts: Sequence[Part | None] = ()) -> float:
+    """The share of the contours that a cloud misses where it is.
+
+    ``parts`` : what of each view counts; all of it by default.
+    """
+    problem = Placing(body, tuple(views))
+    some = some_views(parts, MOST_VIEWS) if parts else ()
+    comparison = Comparison.of(problem.points, problem.normalised, some)
+    return float(comparison.missed(Placements.unmoved())[0])
 
 
 def find_asked_move(

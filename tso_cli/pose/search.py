@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from .depth import DepthMisfit, Surface
 from .levenberg import Freedom, Misfit, improve
 from .misfit import Contour, ContourMisfit, NearestMisfit
 from .placement import SIZE, TURN, UNKNOWNS, Placements
-from .target import Target
+from .target import Part, Target
 
 # Side of the square in which cloud and mask are compared, in cells.
 SIDE = 64
@@ -64,7 +65,10 @@ class Nearby:
     KEPT = 5  # those that fit best from afar
 
 
-def some_views(views: Sequence[View], most: int) -> Sequence[View]:
+Item = TypeVar("Item")
+
+
+def some_views(views: Sequence[Item], most: int) -> Sequence[Item]:
     """At most ``most`` of the views, evenly chosen."""
     return views[:: -(-len(views) // most)]
 
@@ -87,8 +91,12 @@ class Comparison:
         return max(EXACT, OUTLINE_ERROR * max(target.pixel for target in self.targets))
 
     @classmethod
-    def of(cls, points: Array, views: Sequence[View]) -> Comparison:
-        targets = tuple(Target.of(view, SIDE) for view in views)
+    def of(
+        cls, points: Array, views: Sequence[View], parts: Sequence[Part | None] = ()
+    ) -> Comparison:
+        """``parts`` : what of each view counts; all of it by default."""
+        of_views = zip(views, parts or [None] * len(views), strict=True)
+        targets = tuple(Target.of(view, SIDE, part) for view, part in of_views)
         points = scattered(points, FINE_POINTS)
         points = points[np.random.default_rng(0).permutation(len(points))]
         surfaces = [Surface.of(target) for target in targets if target.depth is not None]

@@ -23,6 +23,8 @@ from .placement import (
     Placements,
 )
 
+Part = tuple[Box, Bits]
+"""The edges of a square of a view, and its pixels [H, W] that are known."""
 # Side of the square in longer sides of the mask's box, so that a cloud next to the mask is seen.
 MARGIN = 1.3
 # A point nearer to the camera than this, in longest sides of the placed cloud, is projected from
@@ -112,10 +114,10 @@ class Target:
     depth: Array | None = None  # [S, S] NaN where it is unknown
 
     @classmethod
-    def of(cls, view: View, side: int) -> Target:
-        """``view`` around its object."""
-        box = square_around(view)
-        mask, known = area_resize(view.mask, box, side, side, weights=view.known)
+    def of(cls, view: View, side: int, part: Part | None = None) -> Target:
+        """``view`` around its object, or the ``part`` of it that counts."""
+        box, weights = (square_around(view), view.known) if part is None else part
+        mask, known = area_resize(view.mask, box, side, side, weights=weights)
         camera = view.camera.cropped(box, side, side)
         pixel = side / (box[2] - box[0])
         picture = pixel * max(view.mask.shape)
