@@ -370,8 +370,9 @@ def test_a_confirmed_weak_hypothesis_leaves_the_cloud_as_any_named_mistake_does(
 
 
 def test_a_result_of_a_depth_map_has_the_features_of_any_displacement():
-    depth = np.where(CHAIR.mask > 0.5, np.median(CHAIR.camera.project(CHAIR.target)[1]), np.nan)
-    trust = refine(CHAIR.points, replace(CHAIR.view, depth=depth, depth_kind="z")).trust
+    middle = np.median(AIRPLANE.camera.project(AIRPLANE.target)[1])
+    depth = np.where(AIRPLANE.mask > 0.5, middle, np.nan)
+    trust = refine(AIRPLANE.points, replace(AIRPLANE.view, depth=depth, depth_kind="z")).trust
     _, terms = _model()
     assert set(trust.features) == set(terms)
     assert trust.confidence == confidence_of(trust.features)[0]
@@ -428,12 +429,12 @@ def test_an_object_in_a_large_picture_has_the_confidence_of_one_in_a_small_pictu
 
 
 def test_points_of_a_floor_cost_confidence():
-    low, high = CHAIR.target.min(0), CHAIR.target.max(0)
+    low, high = AIRPLANE.target.min(0), AIRPLANE.target.max(0)
     floor = np.random.default_rng(0).uniform(low - 0.5, high + 0.5, (1024, 3))
     floor[:, 1] = low[1]
     alone, with_floor = (
-        refine(points, CHAIR.view).trust
-        for points in (CHAIR.points, np.concatenate([CHAIR.points, floor]))
+        refine(points, AIRPLANE.view).trust
+        for points in (AIRPLANE.points, np.concatenate([AIRPLANE.points, floor]))
     )
     assert alone.verdict == "improved"
     assert with_floor.verdict == "doubtful"
