@@ -312,7 +312,10 @@ def confidence() -> str:
         [
             text,
             *(_per_cent(summary[name][key]) for key in ("worse", "flagged_of_worse", "silent")),
-            f"{summary[name]['auc']:.2f}",
+            # Fewer results that got worse say nothing of the area.
+            f"{summary[name]['auc']:.2f}"
+            if summary[name]["worse"] * summary[name]["results"] > 4.5
+            else "-",
         ]
         for name, text in names.items()
     ]
