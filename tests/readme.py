@@ -293,39 +293,43 @@ def cameras() -> str:
     return markdown(header, rows)
 
 
+def _per_cent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.0f} %"
+
+
 def confidence() -> str:
     """How well a low confidence marks results that are worse, by what is wrong with the input."""
     names = {
-        "all": "anything",
-        "mask": "the mask",
+        "right scenes": "nothing",
+        "in trouble": "something, or the start is exact",
+        "mask": "masks",
         "camera": "the camera",
-        "gross": "a common mistake",
+        "depth": "depth maps",
         "cloud": "the cloud",
     }
     summary = record("confidence")["summary"]
     rows = [
         [
             text,
-            *(f"{100 * summary[name][key]:.0f} %" for key in ("worse", "flagged_of_worse")),
-            f"{summary[name]['auc']:.2f}",
+            *(_per_cent(summary[name][key]) for key in ("worse", "flagged_of_worse", "silent")),
+            # Fewer results that got worse say nothing of the area.
+            f"{summary[name]['auc']:.2f}"
+            if summary[name]["worse"] * summary[name]["results"] > 4.5
+            else "-",
         ]
         for name, text in names.items()
     ]
-    right, gross = summary["right scenes"], summary["gross"]
-    mixture = record("confidence")["mixture"]
+    right, mixture = summary["right scenes"], record("confidence")["mixture"]
     note = (
-        f"The study made {gross['results'] + gross['refused']} common mistakes, harmful or not.\n"
-        f"tso noticed {100 * gross['suspected']:.0f} % of all these mistakes, "
-        f"and named {100 * gross['named']:.0f} % of all these mistakes correctly.\n"
-        f"Of {right['results']} scenes without a mistake, "
-        f"{100 * right['flagged']:.0f} % were called doubtful.\n\n"
-        "The study always moved the points. Take four scenes without a mistake for each scene\n"
-        f"with one. Then {200 * mixture['worse']:.0f} of 200 results got worse by over 5 %, and "
-        f"{200 * mixture['unflagged']:.0f} of 200 without a\n"
-        f"word. The mean logarithm of after / before was {mixture['always']:.2f}. It is "
-        f"{mixture['left']:.2f} if the clouds\nthat tso leaves count as unchanged."
+        f"Of {right['results']} right scenes, {100 * right['flagged']:.0f} % were called doubtful, "
+        f"and {100 * right['withheld']:.0f} % were left as\nthey were.\n\n"
+        "The study always moved the points. Take as many right scenes as others. Then "
+        f"{200 * mixture['worse']:.0f} of\n200 results got worse by over 5 %, and "
+        f"{200 * mixture['unflagged']:.0f} of 200 without a word. The mean logarithm of\n"
+        f"after / before was {mixture['always']:.2f}. It is {mixture['left']:.2f} if the clouds "
+        "that tso leaves count as unchanged."
     )
-    header = ["what is wrong", "worse by over 5 %", "flagged, of those worse", "AUC"]
+    header = ["what is wrong", "worse by over 5 %", "flagged, of those worse", "silent", "AUC"]
     return f"{markdown(header, rows)}\n\n{note}"
 
 

@@ -9,14 +9,16 @@ import pytest
 
 from tso_cli.diagnosis.assumptions import Assumption, as_meant
 from tso_cli.diagnosis.confidence import Trust
+from tso_cli.diagnosis.examine import Diagnosis, NoOverlapError
 from tso_cli.diagnosis.findings import Finding
+from tso_cli.diagnosis.hypotheses import HYPOTHESES
 from tso_cli.errors import InputError
 from tso_cli.geometry.rotations import angle_between
 from tso_cli.lab.stability import study
 from tso_cli.lab.stability.axes import AXES
 from tso_cli.lab.stability.knees import AXIS, figures, knee
 from tso_cli.lab.stability.peers import PEERS
-from tso_cli.lab.stability.runs import Outcome, level_rows, outcome_of, run_of
+from tso_cli.lab.stability.runs import Outcome, findings_of, level_rows, outcome_of, run_of
 from tso_cli.lab.studies.refining import POINTS, Variant
 from tso_cli.refinement import RefineConfig, refine
 
@@ -264,3 +266,27 @@ def test_peers_do_what_the_paper_does_near_the_mask_and_stay_where_it_is_far_fro
     far = cases[0].initial + [0.0, 10.0, 0.0]
     for peer in PEERS.values():
         np.testing.assert_allclose(peer(far, cases[0].views[:1]), far, atol=2e-3)
+
+
+OPENGL = Finding("opengl", (0,))
+TAKEN_BACK = Finding("mask-inverted", (0,), without=Assumption(HYPOTHESES["mask-inverted"]))
+
+
+@pytest.mark.parametrize(
+    ("findings", "names"),
+    [
+        ((OPENGL, Finding("cloud-z-up", (0,))), ("opengl", "cloud-z-up")),
+        # An assumption that is taken back names no mistake.
+        ((TAKEN_BACK,), ("",)),
+        ((Finding("mispaired", (0, 1), pairs=((0, 1), (1, 0))),), ("mispaired",)),
+        ((Finding("coarse", (0,)),), ()),
+        ((), ()),
+    ],
+)
+def test_findings_of_a_result_and_of_a_refusal(findings, names, chair):
+    result = refine(*chair[:3], RefineConfig(steps=0))
+    assert findings_of(replace(result, findings=findings)) == names
+    refusal = NoOverlapError("mask: no point falls inside")
+    refusal.diagnosis = Diagnosis((), of_input=tuple(one for one in findings if one.suspicious))
+    assert findings_of(refusal) == names
+    assert findings_of(InputError("no object")) == ()

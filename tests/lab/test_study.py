@@ -15,6 +15,7 @@ from tso_cli.errors import InputError
 from tso_cli.lab import options
 from tso_cli.lab.bench.ways import DEFAULT, PAPER, WAYS
 from tso_cli.lab.commands import tools
+from tso_cli.lab.harm.troubles import TROUBLE
 from tso_cli.lab.options import Option
 from tso_cli.lab.stability.knees import AXIS
 from tso_cli.lab.stability.peers import PEERS
@@ -257,7 +258,10 @@ COMMANDS = {
     "affinity": training(*CARS),
     "failures": training(*PLANES, *CARS),
     "confidence": Command(
-        (*CARS, *CHAIRS, "--views", 1, "--alterations", 2), 9, ("Reliability", "right scenes")
+        ("--part", "validation", "--per", 1),
+        17,
+        ("Reliability", "right scenes", "yaw, other"),
+        {"jobs": [(TROUBLE["nothing wrong"], "other"), (TROUBLE["yaw"], "other")]},
     ),
     "pareto": Command(
         ("--limit", 1),

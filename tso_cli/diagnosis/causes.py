@@ -11,7 +11,7 @@ from ..geometry.view import View
 from ..pose.causes import Cause
 from ..pose.move import Body
 from ..pose.placement import ASPECT, FOCAL, GROWTH, PRINCIPAL, SHIFT, TURN
-from ..pose.placing import misfit_of
+from ..pose.placing import missed_of_depth
 from .findings import Finding
 from .foreign_parts import Parts
 
@@ -35,7 +35,7 @@ def depth_that_contradicts(body: Body, views: Sequence[View]) -> tuple[Finding, 
     ]
     if not with_depth:
         return ()
-    missed = misfit_of(body, [views[number] for number in with_depth])[1]
+    missed = missed_of_depth(body, [views[number] for number in with_depth])
     if missed < DEPTH_FITS:
         return ()
     return (Finding("depth-contradicts", tuple(with_depth), values={"missed": 100.0 * missed}),)

@@ -18,7 +18,7 @@ from ..geometry.resampling import area_resize
 from ..geometry.view import View
 from ..pose.causes import EXPLAINED_WITHOUT_MOVING
 from ..pose.move import Body
-from ..pose.placing import misfit_in_parts
+from ..pose.placing import missed_in_parts
 from ..pose.target import Part
 
 # Cells along the side of the square in which silhouette and mask are compared, and the side of the
@@ -90,7 +90,7 @@ def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
     parts = {number: part for number, part in enumerate(by_view) if part}
     if not parts:
         return {}
-    missed, kept = misfit_in_parts(body, views, counted)
+    missed, kept = missed_in_parts(body, views, counted)
     return parts if missed < EXPLAINED_WITHOUT_MOVING and kept >= LEAST_KEPT else {}
 
 

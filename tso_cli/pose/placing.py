@@ -48,15 +48,19 @@ OTHER_UNITS = 5.0
 BRINGS_LITTLE = 0.1
 
 
-def misfit_of(body: Body, views: Sequence[View]) -> tuple[float, float]:
-    """The share of the contours that a cloud misses where it is, and of depth maps (0 without)."""
-    comparison, here = Placing(body, tuple(views)).comparison, Placements.unmoved()
-    depth = comparison.depth()
-    of_depth = 0.0 if depth is None else float(depth(here).value[0])
-    return float(comparison.missed(here)[0]), of_depth
+def missed_by(body: Body, views: Sequence[View]) -> float:
+    """The share of the contours that a cloud misses where it is."""
+    comparison = Placing(body, tuple(views)).comparison
+    return float(comparison.missed(Placements.unmoved())[0])
 
 
-def misfit_in_parts(
+def missed_of_depth(body: Body, views: Sequence[View]) -> float:
+    """The share of depth maps that a cloud misses where it is; 0 without depth maps."""
+    depth = Placing(body, tuple(views)).comparison.depth()
+    return 0.0 if depth is None else float(depth(Placements.unmoved()).value[0])
+
+
+def missed_in_parts(
     body: Body, views: Sequence[View], parts: Sequence[Part | None]
 ) -> tuple[float, float]:
     """The share of the contours that a cloud misses in ``parts`` of views (None: in all of it).

@@ -25,7 +25,7 @@ from ..optimisation.presets import FEWEST_CONTROL_POINTS
 from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
 from ..pose.move import Body, Move
-from ..pose.placing import misfit_of
+from ..pose.placing import missed_by
 from .decisions import decisions
 from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
 
@@ -189,7 +189,7 @@ def _ending(
                 Body(points, cloud.centre, cloud.scale)
                 for points in (cloud.measured, moved.measured)
             )
-            before, after = (misfit_of(body, problem.views) for body in bodies)
+            before, after = (missed_by(body, problem.views) for body in bodies)
             features = features_of(problem, optimised, diagnosis, (before, after))
         trust = Trust.of(features, diagnosis, explained)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)

@@ -3,182 +3,149 @@
 from __future__ import annotations
 
 import json
-import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import lru_cache, partial
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...diagnosis.confidence import LEAST_CONFIDENCE, MODEL, MOST_DEVIATIONS
+from ...diagnosis.confidence import LEAST_CONFIDENCE, LEAST_TO_MOVE, MODEL, MOST_DEVIATIONS
+from ...errors import InputError, TsoError
 from ...io.output import atomic_output
-from ...kernels.dispatch import decided
-from ...refinement import RefineConfig
+from ...refinement import RefineConfig, refine
 from .. import options
 from ..charts import draw_bars
+from ..harm.runs import BETTER, VIEWS, WORSE, altered, distance
+from ..harm.scenes import Gallery, Scene, gallery
+from ..harm.troubles import TROUBLES, Trouble
+from ..interrupts import uninterrupted
 from ..options import Option
-from ..stability.axes import AXES
-from ..stability.runs import Outcome, Run, outcomes_of
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
-from .cases import Case, CaseBuilder, kinds_of
-from .refining import Variant
-from .shapes import shapes_of_part
-from .summary import grouped
+from .summary import grouped, rounded
 
-CATEGORIES, KINDS = ("chair", "airplane", "car", "sofa", "table"), ("other", "near", "right")
-SIZE, POINTS = 128, 1024
-"""Pixels of the masks each way, points of the clouds."""
-UNALTERED = AXES[0]
-# The number of masks is drawn separately.
-ALTERED = tuple(axis for axis in AXES if axis.group != "settings" and axis.masks <= 2)
-HIGHEST_LEVEL = {"many points": 16384, "large picture": 2048}
-"""Beyond these levels only the time changes."""
-MASKS = (1, 1, 1, 1, 1, 2, 4)
-"""The number of masks is drawn from these."""
-DRAWS = 3
-"""How often alterations are drawn for the fit, each time with other views.
-
-The fit sees validation shapes alone: the learned prior was trained on the training shapes.
-"""
-RIGHT_MASKS = (1, 2, 4)
-"""The fit sees each case without an alteration with so many masks."""
-WHOLE_STEP = Variant(RefineConfig(accept_doubtful=True))
-"""So much work that compiled loops pay."""
-WORSE = 1.05
-# The confidence is meant for users of whom so many have right input.
-RIGHT_SHARE = 0.8
-BINS = 10
-LEAST_AUC, LEAST_NAMED = {"all": 0.93, "camera and mask": 0.85}, 0.92
-# Smaller ratios count as this one in a mean of logarithms.
-SMALLEST_RATIO = 1e-3
-CONVENTION = {
-    "worse": "Chamfer distance of the cloud's own points to the truth over 1.05 times the distance "
-    "before",
-    "AUC": "chance that a worse result has less confidence than one that is not worse",
-    "right scenes": "as rendered, nothing altered; a start that is another shape is no mistake",
-    "flagged": "doubtful, for low confidence or because of a finding",
-    "finding": "of the result or the refusal; any, also another than the mistake that was made",
-    "named": "the gross mistake that was made is among the findings",
-    "gross": "mistakes of convention, as axes, units, transposed or inverted input; not in the "
-    "other groups",
-}
+Floats = NDArray[np.float64]
 Row = tuple[Record, dict[str, float]]
-"""What became of a run, and the features of its result."""
+"""What became of a scene, and the features of its result."""
+JOBS = [(trouble, start) for trouble in TROUBLES for start in trouble.starts]
+
+RIGHT = ("nothing wrong", "depth right")
+"""With these, a start of another shape is a right scene."""
+RIGHT_VIEWS, RIGHT_TIMES = (1, 2, 4), 17
+"""Numbers of masks where nothing is wrong; so many of these scenes for one of another kind."""
+SCENES, FITTED_SCENES = 6, 20
+"""Of each trouble and start: those of the record, and those of the fit."""
+ACCEPTING = RefineConfig(accept_doubtful=True)
+# The confidence is meant for users of whom so many have right input.
+RIGHT_SHARE = 0.5
+PENALTIES, FOLDS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2), 5
+"""Of squared slopes, of which the fit takes what predicts shapes best that it did not see."""
+LIMITS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+BINS = 10
+REFUSED = {"ratio": 1.0, "confidence": 0.0, "moved": False, "finding": True, "flagged": True}
+REFUSED |= {"left": True, "iou_gain": 0.0}
+"""What is refused stays as it was."""
+LEAST_AUC, MOST_WITHHELD = 0.85, 0.005
+CONVENTION = {
+    "worse": f"Chamfer distance of the object's own points to the truth over {WORSE} times the "
+    f"distance before; better: under {BETTER} times",
+    "right scenes": "nothing is wrong, or only depth maps are added, which are right; the start is "
+    "another shape; in one, two or four masks",
+    "in trouble": "something is wrong, as in the study of harm, or the start is exact",
+    "moved": "the shape moved, also where it would be left as it was: --accept-doubtful",
+    "AUC": "of those that moved: the chance that a worse result has less confidence than one that "
+    "is not worse",
+    "flagged": "doubtful, for low confidence or because of a finding",
+    "silent": "worse, and not flagged",
+    "withheld": "better, and left as it was",
+    "log ratio": f"mean logarithm of after / before, {RIGHT_SHARE:.0%} of it of right scenes; what "
+    "is left or refused is as it was",
+}
 
 
-def alterations(
-    case: Case, other: Case, count: int, seed: int, to_fit: bool = False
-) -> Iterator[Run]:
-    """A case as it is, and with ``count`` alterations, each at a random level.
-
-    ``to_fit`` repeats the case as it is with `RIGHT_MASKS`. ``other`` has the mask of another
-    object.
-    """
-    words = (zlib.crc32(word.encode()) for word in (case.shape, case.kind))
-    rng = np.random.default_rng([seed, *words, case.view])
-    for axis in (UNALTERED, *rng.choice(np.array(ALTERED, dtype=object), count)):
-        most = HIGHEST_LEVEL.get(axis.name, np.inf)
-        level = float(rng.choice([level for level in axis.levels if level <= most]))
-        masks = int(rng.choice(MASKS))
-        own = np.random.default_rng(rng.integers(1 << 32))
-        if axis != UNALTERED or not to_fit:
-            yield Run(axis, level, case, other, own, masks)
-    for masks in RIGHT_MASKS if to_fit else ():
-        yield Run(UNALTERED, 1.0, case, other, rng, masks)
+def is_right(row: Record) -> bool:
+    """Whether a scene is one of a user without a trouble."""
+    return row["trouble"] in RIGHT and row["start"] == "other"
 
 
-def rows_of(runs: Iterable[Run]) -> list[Row]:
-    """The rows of runs; a run whose result is no number is left out."""
-    with decided(True):
-        rows = map(row_of, outcomes_of(runs, WHOLE_STEP))
-        return [row for row in rows if row is not None]
+def rows_of(scenes: Gallery, trouble: Trouble, start: str, count: int) -> Iterator[Row]:
+    """The scenes of a trouble and start, refined; more of those in which nothing is wrong."""
+    views: tuple[int, ...] = VIEWS
+    if (trouble.name, start) == (RIGHT[0], "other"):
+        count, views = count * RIGHT_TIMES, RIGHT_VIEWS
+    for number in range(count):
+        names, scene = altered(scenes, trouble, start, number, views[number % len(views)])
+        yield row_of({**names, "group": trouble.group}, scene)
 
 
-def row_of(outcome: Outcome) -> Row | None:
-    """What became of a run, with the features of its result; None where it is no number."""
-    run, result, ratio = outcome.run, outcome.result, outcome.ratio()
-    row: Record = {key: getattr(run.case, key) for key in ("category", "shape", "kind")}
-    row |= {"axis": run.axis.name, "group": "gross" if run.axis.gross else run.axis.group}
-    row |= {"level": run.level}
-    if mistake := run.axis.mistake(run.level):
-        row["named"] = mistake in outcome.findings
-    row["suspected"] = bool(outcome.findings)
-    if result is None:
-        return row | {"refused": True}, {}
-    if ratio is None:
-        return None
-    # A start that is kept under a finding has no confidence; it is as it was.
-    confidence = result.trust.confidence
-    if confidence is None:
-        confidence = float(result.fit.outcome == "unchanged")
-    row |= {"ratio": round(ratio, 4), "confidence": round(confidence, 4)}
-    row |= {"flagged": result.trust.verdict == "doubtful", "moved": result.fit.outcome == "moved"}
-    row |= {"left": result.trust.verdict == "doubtful" and not result.trust.moves}
-    row |= {"iou_gain": round(result.fit.iou_after - result.fit.iou_before, 4)}
-    # What moved as one has a confidence of its own.
-    return row, {} if result.move.explains else result.trust.features
-
-
-def _jobs(
-    meshes: Path, split: Path | None, part: str, settings: Record, to_fit: bool = False
-) -> dict[str, Callable[[], list[Row]]]:
-    """By shape of a part, the function that refines its altered cases.
-
-    The mask of another object is that of the shape before it in the list, the last for the first.
-    """
-    count, seed = settings["alterations"], settings["seed"]
-    shapes = shapes_of_part(meshes, split, part, settings["categories"], settings["limit"])
-    builder = CaseBuilder(meshes, split, settings["views"], SIZE, POINTS, seed)
-
-    # The first kind of the shape before is needed again, if its job has just run.
-    @lru_cache(maxsize=2)
-    def first_kind(number: int) -> list[Case]:
-        return builder.cases(shapes[number], KINDS[0])
-
-    def refine_shape(number: int) -> list[Row]:
-        shape, other = shapes[number], first_kind(number - 1)[0]
-        cases = [*first_kind(number)]
-        for kind in kinds_of(shape.category, KINDS[1:]):
-            cases += builder.cases(shape, kind)
-        drawn = (alterations(case, other, count, seed, to_fit) for case in cases)
-        return rows_of(run for runs in drawn for run in runs)
-
-    return {shape.name: partial(refine_shape, number) for number, shape in enumerate(shapes)}
+def row_of(names: Record, scene: Scene | InputError) -> Row:
+    """What became of a scene, with the features of its result."""
+    if isinstance(scene, InputError):
+        return {**names, "refused": True}, {}
+    try:
+        result = uninterrupted(refine(scene.initial, scene.views, config=ACCEPTING))
+    except TsoError as error:
+        return row_of(names, InputError(str(uninterrupted(error))))
+    trust, fit = result.trust, result.fit
+    finding = any(one.suspicious for one in result.findings)
+    doubtful = trust.verdict == "doubtful"
+    # What stays as it was has no confidence under a finding.
+    confidence = float(not doubtful) if trust.confidence is None else trust.confidence
+    row = {
+        "ratio": distance(result.points, scene) / distance(scene.initial, scene),
+        "confidence": confidence,
+        "moved": fit.outcome == "moved",
+        "finding": finding,
+        "flagged": doubtful or finding,
+        "left": doubtful and not trust.moves,
+        "iou_gain": fit.iou_after - fit.iou_before,
+    }
+    return {**names, **rounded(row)}, trust.features
 
 
 def plan(
-    progress: Progress, *, meshes: Path, split: Path | None, fit: Path | None, **settings: Any
+    progress: Progress,
+    *,
+    meshes: Path,
+    split: Path | None,
+    part: str,
+    unseen: Path | None,
+    per: int,
+    seed: int,
+    fit: Path | None,
+    fitted_scenes: int = FITTED_SCENES,
+    jobs: Sequence[tuple[Trouble, str]] = JOBS,
 ) -> Plan:
-    """Refine altered test shapes.
+    """Refine scenes of a part of the split.
 
-    With ``fit`` first fit the model to validation shapes, and write it there.
+    With ``fit`` first fit the model to scenes of the training shapes, and write it there.
     """
-    settings["categories"] = list(settings["categories"])
     if fit is not None:
-        jobs: list[Callable[[], list[Row]]] = []
-        for draw in range(DRAWS):
-            drawn = settings | {"seed": settings["seed"] + draw}
-            jobs += _jobs(meshes, split, "validation", drawn, to_fit=True).values()
-        rows: list[Row] = []
+        scenes, rows = gallery(meshes, split, "train", None, seed), list[Row]()
         for number, job in enumerate(jobs, 1):
-            rows += job()
+            rows += rows_of(scenes, *job, fitted_scenes)
             progress.report("fitting", number, len(jobs))
         with atomic_output(fit) as temporary:
             temporary.write_text(json.dumps(fitted(rows)))
-    test = _jobs(meshes, split, "test", settings)
-    return Plan(settings, [({"shape": name}, partial(_records, job)) for name, job in test.items()])
+    scenes = gallery(meshes, split, part, unseen, seed)
+    settings = {"part": part, "per": per, "seed": seed}
+    settings["shapes"] = [shape.name for shape in scenes.shapes]
+
+    def records(trouble: Trouble, start: str) -> Cases:
+        return [record for record, _ in rows_of(scenes, trouble, start, per)]
+
+    work = [({"trouble": job[0].name, "start": job[1]}, partial(records, *job)) for job in jobs]
+    return Plan(settings, work)
 
 
-def _records(job: Callable[[], list[Row]]) -> Cases:
-    return [record for record, _ in job()]
+# The fit.
 
 
 def fitted(rows: Sequence[Row]) -> Record:
-    """The model of `tso_cli.diagnosis.confidence`: a logistic regression.
+    """The model of `tso_cli.diagnosis.confidence`: a logistic regression of worse results.
 
-    Its logits are calibrated for `RIGHT_SHARE` of right scenes.
+    Right scenes weigh `RIGHT_SHARE` together.
     """
     chosen = [(row, features) for row, features in rows if features and row["moved"]]
     names = max((list(features) for _, features in chosen), key=len)
@@ -186,155 +153,186 @@ def fitted(rows: Sequence[Row]) -> Record:
     chosen = [(row, features) for row, features in chosen if len(features) == len(names)]
     values = np.array([[features[name] for name in names] for _, features in chosen])
     worse = np.array([float(row["ratio"] > WORSE) for row, _ in chosen])
-    right = np.array([row["axis"] == UNALTERED.name for row, _ in chosen])
-    weights = np.where(right, RIGHT_SHARE / right.sum(), (1.0 - RIGHT_SHARE) / (~right).sum())
+    weights = _weights([row for row, _ in chosen])
     mean, deviation = values.mean(0), values.std(0)
+    deviation[deviation == 0.0] = 1.0
     standard = np.clip((values - mean) / deviation, -MOST_DEVIATIONS, MOST_DEVIATIONS)
-    *slopes, offset = _logistic(standard, worse, np.full(len(worse), 1.0 / len(worse)))
-    logits = standard @ slopes + offset
-    scale, shift = _logistic(logits[:, None], worse, weights)
-    terms = np.stack([mean, deviation, scale * np.array(slopes)], 1).round(4).tolist()
-    offset = round(float(scale * offset + shift), 4)
-    return {"offset": offset, "features": dict(zip(names, terms, strict=True))}
+    folds = np.unique([row["shape"] for row, _ in chosen], return_inverse=True)[1] % FOLDS
+    losses = [_held_out(standard, worse, weights, folds, penalty) for penalty in PENALTIES]
+    *slopes, offset = _logistic(standard, worse, weights, PENALTIES[int(np.argmin(losses))])
+    terms = np.stack([mean, deviation, slopes], 1).round(4).tolist()
+    features = dict(zip(names, terms, strict=True))
+    return {"offset": round(float(offset), 4), "features": features}
 
 
-def _logistic(
-    values: NDArray[np.float64], worse: NDArray[np.float64], weights: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _weights(rows: Cases) -> Floats:
+    """Of rows, 1 in all: those of right scenes have `RIGHT_SHARE` together."""
+    right = np.array([is_right(row) for row in rows])
+    shares = RIGHT_SHARE / max(right.sum(), 1), (1.0 - RIGHT_SHARE) / max((~right).sum(), 1)
+    weights = np.where(right, *shares)
+    return np.asarray(weights / weights.sum())
+
+
+def _held_out(
+    values: Floats, worse: Floats, weights: Floats, folds: NDArray[np.int_], penalty: float
+) -> float:
+    """The cross-entropy of each fold after a fit to the others, added."""
+    loss = 0.0
+    for fold in range(FOLDS):
+        here = folds == fold
+        fit = _logistic(values[~here], worse[~here], weights[~here], penalty)
+        loss += _cross_entropy(fit, values[here], worse[here], weights[here])
+    return loss
+
+
+def _cross_entropy(slopes: Floats, values: Floats, worse: Floats, weights: Floats) -> float:
+    logits = values @ slopes[:-1] + slopes[-1]
+    return float((weights * (np.logaddexp(0.0, logits) - worse * logits)).sum())
+
+
+def _logistic(values: Floats, worse: Floats, weights: Floats, penalty: float) -> Floats:
     """The slope of each column of ``values`` [N, F], and the offset, by weighted cross-entropy."""
     from scipy.optimize import minimize
 
-    columns = np.column_stack([values, np.ones(len(values))])
+    def loss(slopes: Floats) -> float:
+        size = penalty * float(np.square(slopes[:-1]).sum())
+        return _cross_entropy(slopes, values, worse, weights) + size
 
-    def loss(slopes: NDArray[np.float64]) -> float:
-        logits = columns @ slopes
-        return float((weights * (np.logaddexp(0.0, logits) - worse * logits)).sum())
-
-    slopes: NDArray[np.float64] = minimize(loss, np.zeros(columns.shape[1])).x
+    slopes: Floats = minimize(loss, np.zeros(values.shape[1] + 1)).x
     return slopes
 
 
-def auc(confidence: NDArray[np.float64], worse: NDArray[np.bool_]) -> float | None:
+# What the cases mean.
+
+
+def auc(confidence: Floats, worse: NDArray[np.bool_]) -> float | None:
     """The chance that a worse result has less confidence than one that is not worse.
 
     Equal confidences count half. None where all results are worse, or none is.
     """
     from scipy.stats import rankdata
 
-    count = int(worse.sum())
-    if not 0 < count < len(worse):
+    count, others = int(worse.sum()), int((~worse).sum())
+    if not count * others:
         return None
     ranks = rankdata(-confidence)[worse].sum()
-    return float((ranks - count * (count + 1) / 2) / (count * (len(worse) - count)))
+    return float((ranks - count * (count + 1) / 2) / (count * others))
 
 
 def conclude(cases: Cases) -> Record:
-    """AUC, and how many are flagged, by group of alterations; reliability; claims."""
-    both = [case for case in cases if case["group"] in ("camera", "mask")]
-    chosen = {"all": cases, "camera and mask": both, **grouped(cases, "group")}
-    chosen["right scenes"] = [case for case in cases if case["axis"] == UNALTERED.name]
-    summary = {name: _figures(rows) for name, rows in chosen.items() if refined(rows)}
-    found = {"summary": summary, "mixture": _mixture(cases), "reliability": _reliability(cases)}
-    return {**found, "claims": claims(summary)}
-
-
-def claims(summary: Record) -> list[Record]:
-    answers = []
-    for name, least in LEAST_AUC.items():
-        value = summary[name]["auc"] if name in summary else None
-        if value is not None:
-            text = f"AUC of {name} alterations is at least {least}"
-            answers.append(claim(text, value >= least, f"{value:.3f}"))
-    share = summary["right scenes"]["suspected"]
-    answers.append(claim("no right scene has a finding", not share, f"share {share:.3f}"))
-    words = {"suspected": "have a finding", "named": "are named"}
-    for key, word in words.items() if "gross" in summary else ():
-        share, text = summary["gross"][key], f"over {LEAST_NAMED} of gross mistakes {word}"
-        answers.append(claim(text, share > LEAST_NAMED, f"{share:.3f}"))
-    return answers
-
-
-def _mixture(cases: Cases) -> Record:
-    """Of a mixture with `RIGHT_SHARE` of right scenes: what leaving some clouds changes.
-
-    always, left : mean logarithm of the ratio if the points always move, and if the clouds that tso
-        leaves stay as they are. worse, unflagged : share that gets worse, and without a word.
-    """
-    right = np.array([case["axis"] == UNALTERED.name for case in cases])
-    if not right.any() or right.all():
-        return {}
-    share = np.where(right, RIGHT_SHARE / right.sum(), (1.0 - RIGHT_SHARE) / (~right).sum())
-    # What is refused stays as it is.
-    ratio = np.array([max(case.get("ratio", 1.0), SMALLEST_RATIO) for case in cases])
-    flagged, left = (
-        np.array([case.get(key, True) for case in cases]) for key in ("flagged", "left")
+    """Figures by kind of scene and by trouble; what each limit changes; reliability; claims."""
+    right, trouble = (
+        [case for case in cases if is_right(case) is wanted] for wanted in (True, False)
     )
-    worse = ratio > WORSE
-    return {
-        "always": float((share * np.log(ratio)).sum()),
-        "left": float((share * np.log(ratio))[~left].sum()),
-        "worse": float(share[worse].sum()),
-        "unflagged": float(share[worse & ~flagged].sum()),
-    }
+    chosen = {"all": cases, "right scenes": right, "in trouble": trouble}
+    for start, rows in grouped(trouble, "start").items():
+        chosen[f"in trouble, {start}"] = rows
+    chosen |= {name: rows for name, rows in grouped(trouble, "group").items() if name != "none"}
+    named = [{**case, "name": f"{case['trouble']}, {case['start']}"} for case in cases]
+    summary, by_trouble = (
+        {name: _figures(rows) for name, rows in groups.items() if _ended(rows)}
+        for groups in (chosen, grouped(named, "name"))
+    )
+    found = {"summary": summary, "troubles": by_trouble, "limits": _limits(cases)}
+    found |= {"mixture": _mixture(cases), "reliability": _reliability(cases)}
+    area, kept = summary["all"]["auc"] or 0.0, summary["right scenes"]["withheld"]
+    text = f"at most {MOST_WITHHELD:.1%} of the right scenes are better and left as they were"
+    answers = [claim(f"AUC is at least {LEAST_AUC}", area >= LEAST_AUC, f"{area:.3f}")]
+    return {**found, "claims": [*answers, claim(text, kept <= MOST_WITHHELD, f"{kept:.3f}")]}
 
 
-def _reliability(cases: Cases) -> list[list[float]]:
-    """By bin of confidence: number of results, mean confidence, share that is not worse."""
-    rows = refined(cases)
-    confidence = np.array([row["confidence"] for row in rows])
-    worse = np.array([row["ratio"] for row in rows]) > WORSE
-    bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
-    table = []
-    for here in (bins == number for number in range(BINS)):
-        if here.any():
-            means = float(confidence[here].mean()), float(1.0 - worse[here].mean())
-            table.append([int(here.sum()), *(round(value, 3) for value in means)])
-    return table
-
-
-def refined(cases: Cases) -> Cases:
-    """The cases that were not refused."""
+def _ended(cases: Cases) -> Cases:
     return [case for case in cases if not case.get("refused")]
 
 
-def _figures(cases: Cases) -> Record:
-    rows = refined(cases)
-
-    def column(key: str) -> NDArray[Any]:
-        return np.array([row[key] for row in rows])
-
-    worse, flagged = column("ratio") > WORSE, column("flagged")
-    named = [case["named"] for case in cases if "named" in case]
+def _columns(cases: Cases) -> dict[str, NDArray[Any]]:
+    """By name the values of all cases."""
     return {
-        "results": len(rows),
-        "worse": float(worse.mean()),
-        "auc": auc(column("confidence"), worse),
-        "auc_iou_gain": auc(column("iou_gain"), worse),
-        "flagged": float(flagged.mean()),
-        "flagged_of_worse": float(flagged[worse].mean()) if worse.any() else None,
-        "refused": len(cases) - len(rows),
-        "suspected": float(np.mean([case["suspected"] for case in cases])),
-        "named": float(np.mean(named)) if named else None,
+        key: np.array([case.get(key, value) for case in cases]) for key, value in REFUSED.items()
     }
 
 
-def tables(record: Record) -> list[Table]:
-    header = ["altered", "results", "worse", "AUC", "AUC of IoU gain", "flagged", "of the worse"]
-    header += ["refused", "finding", "named"]
-    rows = [[name, *row.values()] for name, row in record["summary"].items()]
-    reliability = ["results", "confidence", "not worse"]
-    mixture = [list(record["mixture"].values())] if record["mixture"] else []
-    columns = ["log ratio, always moved", "as tso does", "worse", "worse, not flagged"]
-    note = f"{RIGHT_SHARE:.0%} right scenes; mean logarithm of after / before, and shares"
+def _figures(cases: Cases) -> Record:
+    """Shares of the results of some cases; the AUC is of those that moved."""
+    rows = _ended(cases)
+    of = _columns(rows)
+    worse, moved, flagged = of["ratio"] > WORSE, of["moved"], of["flagged"]
+    return {
+        "results": len(rows),
+        "moved": float(moved.mean()),
+        "worse": float(worse.mean()),
+        "auc": auc(of["confidence"][moved], worse[moved]),
+        "auc_iou_gain": auc(of["iou_gain"][moved], worse[moved]),
+        "flagged": float(flagged.mean()),
+        "flagged_of_worse": float(flagged[worse].mean()) if worse.any() else None,
+        "silent": float((worse & ~flagged & ~of["left"]).mean()),
+        "withheld": float(((of["ratio"] < BETTER) & of["left"]).mean()),
+        "refused": len(cases) - len(rows),
+    }
+
+
+def _limits(cases: Cases) -> list[list[float]]:
+    """For each limit of the confidence: what it changes, as shares of cases.
+
+    Of right scenes those below it and their gains; of those in trouble, with a start of another
+    shape, what is worse and not below it, and the gains below it; the log ratio if what is below
+    it stays as it was.
+    """
+    of, weights = _columns(cases), _weights(cases)
+    right = np.array([is_right(case) for case in cases])
+    trouble = ~right & np.array([case["start"] == "other" for case in cases])
+    worse, better, log = of["ratio"] > WORSE, of["ratio"] < BETTER, np.log(of["ratio"])
+    table = []
+    for limit in LIMITS:
+        below = (of["confidence"] < limit) | (of["finding"] & of["left"])
+        silent, gains = worse & ~below & ~of["finding"], better & below
+        means = [share.mean() for share in (below[right], gains[right], silent[trouble])]
+        table.append([limit, *means, gains[trouble].mean(), (weights * log)[~below].sum()])
+    return table
+
+
+def _mixture(cases: Cases) -> Record:
+    """The log ratio if all points move, and as tso leaves some; shares worse, and not flagged."""
+    of, share = _columns(cases), _weights(cases)
+    log, worse = share * np.log(of["ratio"]), share * (of["ratio"] > WORSE)
+    shares = {"always": log, "left": log * ~of["left"]}
+    shares |= {"worse": worse, "unflagged": worse * ~of["flagged"]}
+    return {name: float(values.sum()) for name, values in shares.items()}
+
+
+def _reliability(cases: Cases) -> list[list[float]]:
+    """By bin of confidence: number that moved, mean confidence, share that is not worse."""
+    of = _columns([case for case in cases if case.get("moved")])
+    confidence, worse = of["confidence"], of["ratio"] > WORSE
+    bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
     return [
-        Table(header, rows),
-        Table(columns, mixture, "Mixture", note),
-        Table(reliability, record["reliability"], title="Reliability"),
+        [int(here.sum()), confidence[here].mean(), 1.0 - worse[here].mean()]
+        for here in (bins == number for number in np.unique(bins))
+    ]
+
+
+def tables(record: Record) -> list[Table]:
+    header = ["results", "moved", "worse", "AUC", "AUC of IoU gain", "flagged", "of the worse"]
+    header += ["silent", "withheld", "refused"]
+    rows, troubles = (
+        [[name, *row.values()] for name, row in record[key].items()]
+        for key in ("summary", "troubles")
+    )
+    columns = ["log ratio, always moved", "as tso does", "worse", "worse, not flagged"]
+    limits = ["limit", "right below", "right, better below", "in trouble, worse not below"]
+    limits += ["in trouble, better below", "log ratio if below stays"]
+    about = "In trouble: other starts."
+    return [
+        Table(["scenes", *header], rows),
+        Table(limits, record["limits"], "Limits of the confidence", about),
+        Table(columns, [list(record["mixture"].values())], "Mixture"),
+        Table(["moved", "confidence", "not worse"], record["reliability"], "Reliability"),
+        Table(["trouble, start", *header], troubles, "By trouble"),
     ]
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Reliability by bin of confidence, and the AUC by group of alterations."""
+    """Reliability by bin of confidence, and the AUC by kind of scene."""
     reliability = {
         f"{stated:.2f}": {"confidence": stated, "not worse": true}
         for _, stated, true in record["reliability"]
@@ -349,22 +347,23 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="confidence",
-    about="Test shapes with a wrong mask, camera, cloud or picture, each altered in one way at a "
-    "random level, refined with the default. A result with a confidence under "
-    f"{LEAST_CONFIDENCE:g} is doubtful. The confidence was fitted to validation "
-    "shapes (--fit).",
+    about="Scenes of the study of harm: half of them right, half in trouble, refined with the "
+    f"default. A result with a confidence under {LEAST_CONFIDENCE:g} is doubtful, and under "
+    f"{LEAST_TO_MOVE:g} the cloud stays as it was. The confidence was fitted to training shapes "
+    "(--fit).",
     parts=("points, best",),
     tables=tables,
     draw=draw,
-    reading="A rising IoU says nothing. A cloud that is out of place and a camera that is out of "
-    "place give the same picture, so no feature can separate them: moved clouds are called "
-    "doubtful though they come out better, and moved cameras are sometimes believed.",
+    reading="A rising IoU says little. A cloud that is out of place and a camera that is out of "
+    "place give the same picture, so no feature can separate them.",
     convention=CONVENTION,
     options=(
-        *options.COMMON,
-        options.views(2),
-        options.categories(*CATEGORIES),
-        Option("--alterations", "Of each case.", int, 24, least=1),
+        options.MESHES,
+        options.SPLIT,
+        options.part("validation"),
+        Option("--unseen", "Folder of meshes in no list, with index.csv.", Path),
+        Option("--per", "Scenes for each trouble and start.", int, SCENES, least=1),
+        options.SEED,
         Option("--fit", f"Fit the model first and write it here; in use is {MODEL.name}.", Path),
     ),
     plan=plan,
