@@ -129,14 +129,28 @@ def _shadow(inside: Bits, percent: float, rng: Rng) -> Bits:
     return shaded
 
 
-def _second_object(scene: Scene, percent: float, rng: Rng) -> Scene:
-    inside, other = scene.views[0].inside, scene.beside()
+def _other_object(scene: Scene, _: float, rng: Rng) -> Scene:
+    inside = scene.views[0].inside
+    other = _neighbour(scene, 1.0)
+    left, top, right, bottom = object_box(inside)
+    corner = (top + bottom - other.shape[0]) // 2, (left + right - other.shape[1]) // 2
+    placed = _pasted(other, *corner, inside)
+    return _mask(lambda *_: placed)(scene, 0.0, rng)
+
+
+def _neighbour(scene: Scene, size: float) -> Bits:
+    """The silhouette of another object, cut out; its ``size`` is in sizes of the object."""
+    other = scene.beside()
     left, top, right, bottom = object_box(other)
     other = other[top:bottom, left:right]
-    scale = percent / 100.0 * _size(inside) / max(other.shape)
+    scale = size * _size(scene.views[0].inside) / max(other.shape)
     lengths = [max(2, round(scale * length)) for length in other.shape]
     picked = [np.arange(n) * length // n for n, length in zip(lengths, other.shape, strict=True)]
-    other = other[np.ix_(*picked)]
+    return other[np.ix_(*picked)]
+
+
+def _second_object(scene: Scene, percent: float, rng: Rng) -> Scene:
+    inside, other = scene.views[0].inside, _neighbour(scene, percent / 100.0)
     left, _, right, bottom = object_box(inside)
     side = int(rng.integers(2))
     near = distance_transform_edt(~inside) <= 1.5
@@ -354,6 +368,7 @@ TROUBLES = (
     Trouble("stand", "mask", "masked its stand too", _mask(_stand), (10, 20, 35)),
     Trouble("shadow", "mask", "masked its contact shadow", _mask(_shadow), (6, 10, 15)),
     Trouble("second object", "mask", "masked its neighbour too", _second_object, (35, 60, 100)),
+    Trouble("other object", "mask", "masked its neighbour instead", _other_object),
     Trouble("bite", "mask", "let something hide a part", _mask(_bite), (8, 15, 30)),
     Trouble("grown", "mask", "took loose masks", _mask(_grown, True), (1, 2, 4)),
     Trouble("shrunk", "mask", "took tight masks", _mask(_shrunk, True), (1, 2, 4)),
@@ -362,6 +377,7 @@ TROUBLES = (
     Trouble("crop", "camera", "kept K of the picture before it was cropped", _crop, (5, 10, 20)),
     Trouble("portrait", "camera", "exchanged width and height for K", _portrait),
     Trouble("yaw", "camera", "took masks of the next frame", _camera(_yaw), (3, 6, 12), DEGREES),
+    Trouble("far yaw", "camera", "mixed up pictures", _camera(_yaw), (25, 45, 70), DEGREES),
     Trouble("other camera", "camera", "gave two views one camera", _other_camera, views=4),
     Trouble("rolled", "camera", "left out the roll", _camera(_rolled), (2, 5, 10), DEGREES),
     Trouble("depth right", "depth", "gave right maps, nothing is wrong", _depth(_depth_right)),
