@@ -92,7 +92,8 @@ def test_a_map_is_used_as_told(maps, refine):
     words = ("initial.ply", "mask.png", "--depth", "inverse.png", "--depth-kind", "z", "--json")
     run = refine(*words)
     assert not any("the map" in text for text in run.document["warnings"])
-    assert run.document["verdict"] != "improved"
+    alone = refine("initial.ply", "mask.png", "-o", "alone.ply", "--json")
+    assert run.document["iou_after"] < alone.document["iou_after"]
 
 
 def test_a_negative_map_is_read_if_its_kind_is_told(maps, refine):

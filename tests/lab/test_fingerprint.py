@@ -40,7 +40,7 @@ def faster_latent(preset, patch):
 
 
 CHANGES = {
-    "points, best": lambda patch: patch.setattr(learned_start, "LEAST_SHARE", 0.3),
+    "points, best": lambda patch: patch.setattr(learned_start, "PASSES", 1),
     "points, paper": lambda patch: patch.setattr(footprint, "EVEN", 1.5 * footprint.EVEN),
     "network modes, paper": partial(faster_latent, "paper"),
     "network modes, best": partial(faster_latent, "best"),

@@ -122,7 +122,7 @@ def test_a_trouble_changes_what_its_group_says_and_no_more(scene, trouble, stren
     assert all((after.depth is not None) == (trouble.group == "depth") for _, after in pairs)
 
 
-@pytest.mark.parametrize("name", [trouble.name for trouble in TROUBLES if trouble.group == "mask"])
+@pytest.mark.parametrize("name", [*ADD, "bite", "shrunk"])
 def test_a_wrong_mask_only_adds_or_only_takes_and_the_more_the_stronger(scene, name):
     before, areas = masks(scene)[0], []
     for strength in range(3):
