@@ -22,28 +22,21 @@ from .placement import (
     FOCAL,
     GROWTH,
     PRINCIPAL,
-    SHIFT,
-    SIZE,
-    STRETCH,
-    TURN,
     UNKNOWNS,
     Placements,
 )
-from .placing import Placing, find_asked_move
+from .placing import GIVEN_ERROR, MOST_DEVIATIONS, Placing, find_asked_move
 from .search import EXPLAINED, FROM_AFAR, LEFT, NEARER, PROMISING_UNASKED, SIDE, search_from
 from .target import MARGIN
 
 Name = Literal["shift", "pose", "focal-length", "aspect", "principal-point", "outline", "stretch"]
 OF_PLACE: tuple[Name, ...] = ("shift", "pose")
-# Standard deviations of what is given: radians, longest sides of the cloud, logarithms, longer
-# sides of the picture, pixels. A larger error is a mistake of another kind.
-DEVIATIONS = np.empty(UNKNOWNS)
-DEVIATIONS[TURN] = np.radians(12.0)
-DEVIATIONS[[SIZE, FOCAL, ASPECT]] = DEVIATIONS[SHIFT] = DEVIATIONS[STRETCH] = 0.12
+# Standard deviations of what is given: those of a placement, logarithms, longer sides of the
+# picture, pixels. A larger error is a mistake of another kind.
+DEVIATIONS = GIVEN_ERROR.copy()
+DEVIATIONS[[FOCAL, ASPECT]] = 0.12
 DEVIATIONS[PRINCIPAL] = 0.08
 DEVIATIONS[GROWTH] = 3.0
-# The most of these deviations that the default moves a cloud by.
-MOST_DEVIATIONS = 2.5
 # Steps of each descent; a search that looks promising has more.
 FEW_STEPS = 8
 # Smaller errors of a camera or a mask are those of a right one: pixels by which the contour moves,
@@ -238,8 +231,9 @@ def _by_boxes(problem: Placing) -> tuple[Array, float]:
     moved, zoomed = [], []
     for target in problem.comparison.targets:
         seen = target.project(problem.points, Placements.unmoved()).px[0]
-        boxes = [(places.min(0), places.max(0)) for places in (seen, target.cells) if len(places)]
-        (low, high), (first, last) = boxes
+        (low, high), (first, last) = (
+            (places.min(0), places.max(0)) for places in (seen, target.cells)
+        )
         moved.append((first + last - low - high) / 2.0 / target.picture)
         zoomed.append(np.log((last - first).max() / max(float((high - low).max()), 1e-9)))
     return np.mean(moved, 0), float(np.mean(zoomed))

@@ -13,7 +13,7 @@ from ..geometry.view import View
 from .levenberg import Freedom, improve
 from .misfit import NearestMisfit
 from .placement import Placements
-from .search import FITS, Comparison, search_from, some_views
+from .search import TELLS_PLACE, Comparison, search_from, some_views
 from .starts import closed_iou, distinct, starts
 from .target import Target
 
@@ -87,9 +87,9 @@ def search_everywhere(
     by_cells = comparison.at_depth(by_cells, freedom)
     placements, value = comparison.settled(by_cells, freedom)
     placements = placements[distinct(placements.R, -value, APART, len(placements))]
-    if comparison.missed(placements[:1])[0] > FITS:
+    if comparison.missed(placements[:1])[0] > TELLS_PLACE:
         placements = _searched_around(comparison, freedom, placements)
-        if comparison.missed(placements[:1])[0] > FITS:
+        if comparison.missed(placements[:1])[0] > TELLS_PLACE:
             # The contours of another shape do not tell where it is.
             iou = closed_iou(local, by_cells, comparison.targets, spacing(local))
             placements = by_cells[distinct(by_cells.R, iou, APART, len(by_cells))]

@@ -43,9 +43,6 @@ LEAST_OVERLAP = 0.1
 # So is a cloud that is this many times as large or as small as what several masks show. From its
 # narrow side an object is up to three times as small as its longest side.
 OTHER_UNITS = 5.0
-# A move with fewer unknowns is enough if it misses no larger share of the contours than this beyond
-# what the move with more unknowns misses.
-BRINGS_LITTLE = 0.1
 
 
 def missed_by(body: Body, views: Sequence[View]) -> float:

@@ -42,7 +42,7 @@ EXPLAINED = 0.2
 # misses.
 LEFT = 0.3
 # The contours of a cloud that misses more than this do not tell where it is.
-FITS = 0.3
+TELLS_PLACE = 0.3
 # Further starts are tried where the first start leaves less than the first share, and those so far
 # less than the second one. The first starts leave 5 % of exact validation clouds more than 0.36,
 # and 5 % of other shapes less than 0.48. Where nobody asked for a move, a cloud of another shape
@@ -169,7 +169,7 @@ class Found:
     @property
     def fits(self) -> bool:
         """Whether a cloud of this shape is right here."""
-        return self.missed < FITS
+        return self.missed < TELLS_PLACE
 
     @property
     def explains(self) -> bool:
@@ -215,7 +215,7 @@ def place_from(comparison: Comparison, freedom: Freedom) -> Found:
     does not fit in the end stands where all cells of the masks would have it.
     """
     found = search_from(comparison, freedom)
-    if found.given < FITS:
+    if found.given < TELLS_PLACE:
         posterior = freedom.posterior(comparison.exact(comparison.outline))
         gain = posterior(freedom.given).value - posterior(found.placement).value
         if gain < SIGNIFICANT:

@@ -185,11 +185,11 @@ def _ending(
         features = None
         if settings.smooth and all(view.image is None for view in problem.views):
             cloud = problem.cloud
-            bodies = (
-                Body(points, cloud.centre, cloud.scale)
-                for points in (cloud.measured, moved.measured)
-            )
-            before, after = (missed_by(body, problem.views) for body in bodies)
+            # Where nothing moved as one, the search for a move has measured the start.
+            before = move.missed
+            if move.kind != "nothing" or np.isnan(before):
+                before = missed_by(cloud.body, problem.views)
+            after = missed_by(Body(moved.measured, cloud.centre, cloud.scale), problem.views)
             features = features_of(problem, optimised, diagnosis, (before, after))
         trust = Trust.of(features, diagnosis, explained)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
