@@ -42,7 +42,7 @@ class Diagnosis:
 
     of_input : alternatives that explain the whole input, likeliest first.
     of_views : what may be wrong with single views.
-    weak : alternatives that only short optimisations can confirm.
+    weak : alternatives that only the contours can confirm.
     notes : what is worth reading before a result is used.
     hidden : by number of the view, the pixels [H, W] that something in front of the object hides.
     explanation : None in the network modes, which place their cloud themselves.
@@ -66,8 +66,10 @@ class Diagnosis:
 
     @property
     def unverified(self) -> tuple[Finding, ...]:
-        """What short optimisations verify: weak alternatives, or another order of the masks."""
-        return self.weak or tuple(finding for finding in self.suspicious if finding.pairs)
+        """What the contours verify: weak alternatives, or what explains the whole input."""
+        pairs = tuple(finding for finding in self.suspicious if finding.pairs)
+        of_input = tuple(finding for finding in self.of_input if finding.hypotheses)
+        return self.weak or pairs or of_input
 
     @property
     def suspicious(self) -> tuple[Finding, ...]:
@@ -134,19 +136,19 @@ def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Mov
     if diagnosis.suspicious:
         return diagnosis
     if move.causes:
-        return replace(diagnosis, of_input=findings_of_causes(move.causes, views), weak=())
+        return replace(diagnosis, of_input=findings_of_causes(move.causes, views))
     fits = move.fits and all(view.image is None for view in views)
     if fits:
         contradicted = depth_that_contradicts(body, views)
-        return replace(diagnosis, fits=True, weak=(), of_input=contradicted)
+        return replace(diagnosis, fits=True, of_input=contradicted)
     if np.isnan(move.missed):
         return diagnosis
-    parts = parts_that_explain(body, views)
+    parts = parts_that_explain(body, views, move)
     if not parts:
         return diagnosis
     notes = (*findings_of_parts(parts), *diagnosis.notes)
     hidden = {number: part.ignored for number, part in parts.items()}
-    return replace(diagnosis, fits=True, notes=notes, hidden=hidden, weak=())
+    return replace(diagnosis, fits=True, notes=notes, hidden=hidden)
 
 
 def _explained(

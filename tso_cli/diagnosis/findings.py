@@ -45,6 +45,7 @@ NOTES = {
     **OF_DEPTH_MAPS,
     "foreign-part": "something that is not the object seems to take {share:.0f} % of the mask, so "
     "the mask counts nothing there",
+    "outline-corrected": "the mask seems {pixels:.1f} px too {how} on all sides, and is corrected",
     "missing-part": "{share:.0f} % of the cloud lie outside the mask, where the rest of it fits: "
     "something hides the object, or the cloud holds something else; they stay",
     "occluder": "something seems to hide {share:.0f} % of the object, so the mask counts nothing "

@@ -16,8 +16,8 @@ from ..evaluation.footprint import footprint, nearest_cell
 from ..geometry.arrays import Array, Bits, Box
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
-from ..pose.causes import EXPLAINED_WITHOUT_MOVING
-from ..pose.move import Body
+from ..pose.causes import EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING, SIMILAR
+from ..pose.move import Body, Move
 from ..pose.placing import missed_in_parts
 from ..pose.target import Part
 
@@ -78,8 +78,11 @@ def foreign_parts(points: Array, view: View) -> Parts | None:
     return Parts(box, ignored | beyond, of_mask, of_cloud)
 
 
-def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
-    """By number of the view, the parts without which a cloud fits its masks; {} if it does not."""
+def parts_that_explain(body: Body, views: Sequence[View], move: Move) -> dict[int, Parts]:
+    """By number of the view, the parts without which a cloud fits its masks; {} if it does not.
+
+    A cloud of other proportions explains the masks less well. ``move`` : what it misses.
+    """
     by_view = [foreign_parts(body.points, view) for view in views]
     counted: list[Part | None] = []
     for view, part in zip(views, by_view, strict=True):
@@ -91,7 +94,10 @@ def parts_that_explain(body: Body, views: Sequence[View]) -> dict[int, Parts]:
     if not parts:
         return {}
     missed, kept = missed_in_parts(body, views, counted)
-    return parts if missed < EXPLAINED_WITHOUT_MOVING and kept >= LEAST_KEPT else {}
+    most = min(
+        EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING * move.missed, move.stretched - SIMILAR
+    )
+    return parts if missed < most and kept >= LEAST_KEPT else {}
 
 
 def _box_around(points: Array, view: View) -> Box:

@@ -39,4 +39,6 @@ class MirrorPlane:
         known = None if view.known is None else view.known[:, ::-1]
         depth = None if view.depth is None else view.depth[:, ::-1]
         camera = replace(camera, K=K, R=R, t=t)
-        return View(view.mask[:, ::-1], camera, known, f"{view.name}, mirrored", depth)
+        name = f"{view.name}, mirrored"
+        mask = view.mask[:, ::-1]
+        return View(mask, camera, known, name, depth, mask_error=view.mask_error)

@@ -14,6 +14,8 @@ from .arrays import Array, Bits, Box, Floats, Indices, as_numbers
 from .camera import Camera
 from .depth_kind import FITTED, DepthKind
 
+# How exactly a mask shows where its outline is, in pixels: that of a mask with pixels of 0 and 1.
+OUTLINE_ERROR = 0.5
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15
 
@@ -41,6 +43,8 @@ class View:
     image : [H, W, 3] red, green, blue in [0, 1], the photo that was masked; for clouds with
         colours.
     depth_kind : what the depth map holds (`DepthKind`).
+    mask_error : how exactly the mask shows where its outline is, a standard deviation in pixels;
+        None if it is not known (`outline_error`).
 
     Raises InputError if a size, a value or the camera does not fit, or if the mask is all
     foreground or all background.
@@ -53,6 +57,7 @@ class View:
     depth: Array | None = None
     image: Floats | None = None
     depth_kind: DepthKind = "auto"
+    mask_error: float | None = None
 
     def __post_init__(self) -> None:
         mask: Floats = as_numbers(self.mask, f"{self.name}: the mask", np.float32)
@@ -76,6 +81,10 @@ class View:
             raise InputError(
                 f"{self.name}: the kind of its depth map is {self.depth_kind!r}, expected one of "
                 f"{', '.join(get_args(DepthKind))}"
+            )
+        if self.mask_error is not None and not 0.0 < self.mask_error < np.inf:
+            raise InputError(
+                f"{self.name}: the error of the mask is {self.mask_error!r}, expected pixels over 0"
             )
         if self.depth is not None:
             object.__setattr__(self, "depth", self._checked_depth(self.depth))
@@ -161,19 +170,39 @@ class View:
         return inside if self.known is None else inside & self.known
 
     @cached_property
-    def _object(self) -> tuple[int, int, int, int]:
+    def pixels_of_object(self) -> tuple[int, int, int, int]:
+        """Left, top, right and bottom of the object, right and bottom exclusive."""
         return object_box(self.inside)
+
+    @cached_property
+    def outline_error(self) -> float:
+        """How exactly the mask shows where its outline is, a standard deviation in pixels.
+
+        A blurred mask is less exact than its pixels. The steepest quarter of the outline tells the
+        blur, since a pixel that the outline crosses makes a sharp mask less steep too.
+        """
+        if self.mask_error is not None:
+            return self.mask_error
+        steps = []
+        left, top, right, bottom = self.pixels_of_object
+        part = self.mask[max(top - 1, 0) : bottom + 1, max(left - 1, 0) : right + 1]
+        for values in (part, part.T):
+            across = (values[1:] > 0.5) != (values[:-1] > 0.5)
+            steps.append(np.abs(values[1:][across] - values[:-1][across]))
+        steepest = np.quantile(np.concatenate([*steps, [1.0]]), 0.75)
+        # The slope of a step after a Gaussian blur.
+        return max(OUTLINE_ERROR, float(1.0 / (np.sqrt(2.0 * np.pi) * steepest)))
 
     @property
     def truncated(self) -> bool:
         """Whether the object touches the border of the image, and so may extend beyond it."""
-        left, top, right, bottom = self._object
+        left, top, right, bottom = self.pixels_of_object
         height, width = self.mask.shape
         return left == 0 or top == 0 or right == width or bottom == height
 
     def box(self) -> Box:
         """The edges of the object in pixel coordinates; specks do not belong to the object."""
-        left, top, right, bottom = self._object
+        left, top, right, bottom = self.pixels_of_object
         return left - 0.5, top - 0.5, right - 0.5, bottom - 0.5
 
     @property
@@ -184,7 +213,7 @@ class View:
     @property
     def specks(self) -> int:
         """How many foreground pixels lie outside the object's box."""
-        left, top, right, bottom = self._object
+        left, top, right, bottom = self.pixels_of_object
         return int(self.inside.sum()) - int(self.inside[top:bottom, left:right].sum())
 
 

@@ -26,7 +26,16 @@ from .placement import (
     Placements,
 )
 from .placing import GIVEN_ERROR, MOST_DEVIATIONS, Placing, find_asked_move
-from .search import EXPLAINED, FROM_AFAR, LEFT, NEARER, PROMISING_UNASKED, SIDE, search_from
+from .search import (
+    EXPLAINED,
+    FROM_AFAR,
+    LEFT,
+    NEARER,
+    PROMISING_UNASKED,
+    SIDE,
+    Comparison,
+    search_from,
+)
 from .target import MARGIN
 
 Name = Literal["shift", "pose", "focal-length", "aspect", "principal-point", "outline", "stretch"]
@@ -140,7 +149,9 @@ def find_likely_move(
             why = "no small turn and shift explains the misfit"
             if any(view.truncated for view in views):
                 why = "a picture cuts off the object"
-        return replace(unmoved(views, why, given), settled=settled)
+        growth = 0.0 if settled else float(stretch.placement.growth[0])
+        unexplained = replace(unmoved(views, why, given), settled=settled, growth=growth)
+        return replace(unexplained, stretched=stretch.missed)
     rivals.sort(key=lambda cause: cause.cost)
     likely = [cause for cause in rivals if cause.cost < rivals[0].cost + SIMILAR]
     if not all(cause.of_place for cause in likely):
@@ -149,6 +160,21 @@ def find_likely_move(
     first = likely[0]
     kind: Moved = "shift" if first.name == "shift" else "pose"
     return problem.moved(kind, first.placement, given, first.missed, keep)
+
+
+def missed_if_stretched(body: Body, views: Sequence[View]) -> float:
+    """The share of the contours that a cloud misses if it stretches as they would have it."""
+    problem = Placing(body, tuple(views))
+    comparison, freedom = problem.comparison, problem.stretch
+    placement = _descended(comparison, Placements.unmoved(), freedom)
+    return float(comparison.missed(placement)[0])
+
+
+def _descended(comparison: Comparison, placements: Placements, freedom: Freedom) -> Placements:
+    """The placements after short descents, drawn from afar and then nearer and nearer."""
+    for scale in (FROM_AFAR, max(NEARER, comparison.outline), comparison.outline):
+        placements, _ = improve(placements, comparison.exact(scale), freedom, FEW_STEPS)
+    return placements
 
 
 def _is_simpler(cause: Cause, stretch: Cause) -> bool:
@@ -191,11 +217,12 @@ def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[
         }
     most = max(basis.shape[1] for basis in bases.values())
     padded = [np.pad(basis, ((0, 0), (0, most - basis.shape[1]))) for basis in bases.values()]
-    freedom = Freedom(np.stack(padded), Placements.unmoved(), DEVIATIONS)
+    deviations = np.tile(DEVIATIONS, (len(bases), 1))
+    deviations[list(bases).index("stretch")] = problem.stretch.deviation
+    freedom = Freedom(np.stack(padded), Placements.unmoved(), deviations)
     comparison = problem.comparison
     placements = _nearer(problem, Placements.unmoved(len(bases)), freedom, list(bases))
-    for scale in (FROM_AFAR, max(NEARER, comparison.outline), comparison.outline):
-        placements, _ = improve(placements, comparison.exact(scale), freedom, FEW_STEPS)
+    placements = _descended(comparison, placements, freedom)
     missed = comparison.missed(placements)
     across = max(SIDE / MARGIN / target.pixel for target in comparison.targets)
     causes = [

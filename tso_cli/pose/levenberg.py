@@ -71,8 +71,8 @@ class Freedom:
 
     basis : [17, k], its columns are the combinations of unknowns that may change; or [P, 17, k], of
         each placement by itself, where columns of zeros change nothing.
-    given : the placement that was given. deviation : [17], standard deviations of its error;
-        infinite for unknowns that nothing is known about.
+    given : the placement that was given. deviation : [17], standard deviations of its error, or
+        [P, 17] as ``basis``; infinite for unknowns that nothing is known about.
     """
 
     basis: Array
@@ -89,6 +89,15 @@ class Freedom:
         deviation = np.full(UNKNOWNS, np.inf) if deviation is None else deviation
         return cls(np.concatenate(columns, 1), given, deviation)
 
+    def __getitem__(self, rows: Rows) -> Freedom:
+        """Of some of the placements."""
+        basis, deviation = self.basis, self.deviation
+        return Freedom(
+            basis if basis.ndim == 2 else basis[rows],
+            self.given,
+            deviation if deviation.ndim == 1 else deviation[rows],
+        )
+
     def posterior(self, misfit: Misfit) -> Misfit:
         """Minus twice the logarithm of the posterior density, if ``misfit`` is a mean of squares.
 
@@ -97,6 +106,7 @@ class Freedom:
         cloud that can fit is drawn to its masks, and one that cannot stays near where it was given.
         """
         precision = 1.0 / np.square(self.deviation)
+        curvature = precision[..., None] * np.eye(UNKNOWNS)
 
         def system(placements: Placements) -> System:
             at = misfit(placements)
@@ -107,8 +117,8 @@ class Freedom:
             else:
                 change = placements.since(self.given)
             return System(
-                INDEPENDENT * np.log(value) + np.square(change) @ precision,
-                steep[:, None, None] * at.normal + np.diag(precision),
+                INDEPENDENT * np.log(value) + (np.square(change) * precision).sum(1),
+                steep[:, None, None] * at.normal + curvature,
                 steep[:, None] * at.gradient - precision * change,
             )
 
@@ -122,15 +132,13 @@ def improve(
 
     No placement gets worse.
     """
-    measured = freedom.posterior(misfit)
     damping = np.full(len(placements), Damping.FIRST)
-    now = measured(placements)
+    now = freedom.posterior(misfit)(placements)
     active = np.arange(len(placements))
     for _ in range(steps):
-        at, system = placements[active], now[active]
-        basis = freedom.basis if freedom.basis.ndim == 2 else freedom.basis[active]
-        tried = at.stepped(_step(at, system, damping[active], basis))
-        after = measured(tried)
+        at, system, free = placements[active], now[active], freedom[active]
+        tried = at.stepped(_step(at, system, damping[active], free.basis))
+        after = free.posterior(misfit)(tried)
         gain = system.value - after.value
         better = gain > 0.0
         placements = placements.replaced(active[better], tried[better])

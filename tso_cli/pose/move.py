@@ -42,6 +42,8 @@ class Move:
     why_unsure : why one of them may be right instead; "" if the place is sure, or if it was only
         searched near where the cloud was given. why_unmoved : why nothing moved; "" else.
     causes : what explains the misfit about equally well, where nothing moves for that reason.
+    stretched : share that a cloud of other proportions misses, infinite if nobody looked. growth :
+        pixels by which the masks seem to have grown beyond it.
     settled : whether the cloud fits nearly, and a cloud of other proportions hardly fits better.
     """
 
@@ -56,6 +58,8 @@ class Move:
     why_unsure: str = ""
     why_unmoved: str = ""
     causes: tuple[Cause, ...] = ()
+    stretched: float = np.inf
+    growth: float = 0.0
     settled: bool = False
 
     @property

@@ -16,7 +16,7 @@ from .asked import Keep, Moved
 from .everywhere import same_by_symmetry, search_everywhere, spacing, spread_points
 from .levenberg import Freedom
 from .move import MOST_DEGREES, Body, Move, unmoved
-from .placement import SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements
+from .placement import GROWTH, SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements
 from .search import (
     EXPLAINED,
     SURE_GAP,
@@ -164,8 +164,11 @@ class Placing:
 
     @property
     def stretch(self) -> Freedom:
-        """The cloud may stretch along any axes, and shift."""
-        return Freedom.of(Placements.unmoved(), STRETCH, SIZE, SHIFT, deviation=GIVEN_ERROR)
+        """The cloud may stretch along any axes, and shift; the masks may be inexact."""
+        deviation = GIVEN_ERROR.copy()
+        deviation[GROWTH] = np.mean([view.outline_error for view in self.views])
+        free = STRETCH, SIZE, SHIFT, GROWTH
+        return Freedom.of(Placements.unmoved(), *free, deviation=deviation)
 
     def asked(self, kind: Moved, keep: Keep) -> Move:
         """Near where the cloud was given, or anywhere if it does not fit there."""

@@ -29,8 +29,6 @@ STEPS = 15
 FROM_AFAR, NEARER, EXACT = 4.0, 1.5, 0.6
 # The least scale of distances to a depth map, in cells. Depth maps are less exact than masks.
 LEAST_OF_DEPTH = 1.0
-# How exactly a mask shows where its contour is, in pixels.
-OUTLINE_ERROR = 0.5
 # A point this many cells from a contour, in such scales, belongs to no piece of it.
 REACH = 3.5
 LEAST_REACH = 4.0
@@ -88,7 +86,7 @@ class Comparison:
     @cached_property
     def outline(self) -> float:
         """How exactly the masks show where their contours are, in cells."""
-        return max(EXACT, OUTLINE_ERROR * max(target.pixel for target in self.targets))
+        return max(EXACT, *(target.error for target in self.targets))
 
     @classmethod
     def of(

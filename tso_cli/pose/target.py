@@ -110,6 +110,7 @@ class Target:
     camera: Camera
     truncated: bool  # the picture cuts off the object, so points outside the picture are no error
     pixel: float  # side of a pixel of the mask, cells
+    error: float = 0.0  # how exactly the mask shows where its contour is, cells
     picture: float = 1.0  # longer side of the picture, cells
     depth: Array | None = None  # [S, S] NaN where it is unknown
 
@@ -121,7 +122,9 @@ class Target:
         camera = view.camera.cropped(box, side, side)
         pixel = side / (box[2] - box[0])
         picture = pixel * max(view.mask.shape)
-        target = cls(mask * (known > 0.0), known > 0.5, camera, view.truncated, pixel, picture)
+        error = pixel * view.outline_error
+        of_mask = mask * (known > 0.0), known > 0.5, camera, view.truncated
+        target = cls(*of_mask, pixel, error, picture)
         if view.depth is None:
             return target
         depth = nearest_resize(view.depth, box, side)

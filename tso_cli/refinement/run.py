@@ -14,7 +14,7 @@ from ..geometry.arrays import Array
 from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import optimise, weigh
-from ..optimisation.problem import Problem, prepare
+from ..optimisation.problem import prepare
 from ..optimisation.settings import Settings
 from ..pose.causes import find_move
 from ..pose.move import Move, unmoved
@@ -43,10 +43,11 @@ def run(
         cloud = scene.cloud.controlled(settings.points, scene.views)
     given = scene.views
     move, scene = _moved(scene, cloud, settings, clock)
+    if move.kind == "nothing":
+        # Also with outlines that are corrected.
+        given = scene.views
     with clock.phase("prepare"):
-        diagnosis = _examined(scene, cloud, settings)
-        if settings.smooth:
-            diagnosis = explained(diagnosis, cloud.body, scene.views, move)
+        diagnosis = _diagnosed(scene, cloud, move, settings)
         if diagnosis.hidden:
             scene = scene.without(diagnosis.hidden)
             pairs = zip(given, scene.views, strict=True)
@@ -56,8 +57,6 @@ def run(
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
         settings = settings.for_observations(problem.observations)
-    diagnosis = _verified(scene, diagnosis, problem, settings, clock)
-    with clock.phase("prepare"):
         weighed = weigh(problem, settings)
     idle = diagnosis.fits or bool(diagnosis.of_input and not settings.accept_doubtful)
     begin = None
@@ -81,11 +80,8 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
     move, scene = _moved(scene, cloud, settings, clock)
-    diagnosis = _examined(scene, cloud, settings)
+    diagnosis = _diagnosed(scene, cloud, move, settings)
     scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
-    if diagnosis.unverified:
-        problem = prepare(cloud, scene.views, settings)
-        diagnosis = _verified(scene, diagnosis, problem, settings, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
     return diagnosis, cloud, move
@@ -100,7 +96,8 @@ def _moved(
         # Depth maps are refused later.
         move = find(scene)
         return move, scene.after(move)
-    return move_with_maps(scene, cloud.control_points, settings.move, find)
+    move, placed = move_with_maps(scene, cloud.control_points, settings.move, find)
+    return move, placed.with_outlines(move.growth) if move.growth else placed
 
 
 def _fitted(
@@ -158,20 +155,21 @@ def _examined(scene: RefineScene, cloud: ControlledCloud, settings: Settings) ->
     return examine(cloud, *of_scene, hypotheses=hypotheses)
 
 
+def _diagnosed(
+    scene: RefineScene, cloud: ControlledCloud, move: Move, settings: Settings
+) -> Diagnosis:
+    """What may be wrong with a scene, after the ``move``."""
+    diagnosis = _examined(scene, cloud, settings)
+    if move.fits or move.causes:
+        # What nearly nothing contradicts needs no weak explanation.
+        diagnosis = replace(diagnosis, weak=())
+    diagnosis = verify_hypotheses(diagnosis, cloud.body, scene.read, scene.assumptions)
+    return explained(diagnosis, cloud.body, scene.views, move) if settings.smooth else diagnosis
+
+
 def _examined_anyhow(scene: RefineScene, cloud: ControlledCloud, settings: Settings) -> Diagnosis:
     """The diagnosis, also where cloud and masks do not meet."""
     try:
         return _examined(scene, cloud, settings)
     except NoOverlapError as error:
         return error.diagnosis
-
-
-def _verified(
-    scene: RefineScene, diagnosis: Diagnosis, problem: Problem, settings: Settings, clock: Clock
-) -> Diagnosis:
-    """Short optimisations decide about weak hypotheses."""
-    if not diagnosis.unverified:
-        return diagnosis
-    meant = scene.read, scene.assumptions
-    verify = partial(verify_hypotheses, diagnosis, problem, *meant, settings)
-    return clock.attempt("check mistake", verify, diagnosis)

@@ -15,7 +15,8 @@ from ..diagnosis.findings import ASSUMED_CAMERA, Finding
 from ..errors import InputError
 from ..geometry.arrays import Bits, as_numbers
 from ..geometry.camera import Camera
-from ..geometry.view import View
+from ..geometry.outline import shrunk
+from ..geometry.view import OUTLINE_ERROR, View
 from ..pose.move import Move
 
 # A cloud that a depth map makes this many times as large, or as small, is worth a warning.
@@ -53,6 +54,18 @@ class RefineScene:
             known = ~pixels if known is None else known & ~pixels
             views[number] = replace(views[number], known=known)
         return self.with_views(views)
+
+    def with_outlines(self, growth: float) -> RefineScene:
+        """The same scene, with masks whose outlines lie ``growth`` pixels further in."""
+        views = [shrunk(view, growth) for view in self.views]
+        how = "large" if growth > 0.0 else "small"
+        values: dict[str, float | str] = {"pixels": abs(growth), "how": how}
+        notes = [
+            Finding("outline-corrected", (number,), values=values)
+            for number, (before, view) in enumerate(zip(self.views, views, strict=True))
+            if view is not before and abs(growth) >= OUTLINE_ERROR
+        ]
+        return self.with_views(views, notes)
 
     def after(self, move: Move) -> RefineScene:
         """The same scene with the views of ``move``, which are as they are meant."""
