@@ -27,7 +27,7 @@ Rng = np.random.Generator
 Bits = NDArray[np.bool_]
 STARTS = ("exact", "other")
 POINTS, MOST_VIEWS = 1024, 4
-SIDES, FURTHER = (96, 128, 256, 400), (1.2, 2.2)
+SIDES, FURTHER = (32, 64, 96, 128, 256, 400), (1.2, 2.2)
 """Pixels of a picture each way; the distances of cameras, over that which fills the picture."""
 BUILDER_SIZE = 64
 """Pixels of the masks of `CaseBuilder`, of which only the start is used."""
