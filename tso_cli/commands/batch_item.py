@@ -141,7 +141,7 @@ def _of_files(
     doubtful = unwritten or document["verdict"] == "doubtful"
     values = {
         name: options.plain(document[name])
-        for name in ("verdict", "confidence", "step_taken", "iou_before", "iou_after", "output")
+        for name in ("verdict", "confidence", "moved", "iou_before", "iou_after", "output")
     }
     if is_remote(item) and not unwritten:
         values["output"] = item

@@ -238,7 +238,9 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 )
 @options.flag("--accept-doubtful", "Move the points even where a doubtful cloud would be left.")
 @options.flag(
-    "--strict", "Write nothing if the result is doubtful or has no confidence; exit code 3."
+    "--strict",
+    "Write nothing if the result is doubtful or has no confidence: exit code 3. Exit code 4 if "
+    "nothing moved.",
 )
 @click.option(
     "--overlay",

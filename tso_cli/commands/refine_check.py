@@ -8,9 +8,9 @@ from typing import Any
 import click
 
 from ..cloud.cloud import ControlledCloud
-from ..diagnosis.confidence import UNSURE
 from ..diagnosis.examine import Diagnosis, NoOverlapError
 from ..diagnosis.placement import LEAST_BOX_IOU, Placement, describe_box
+from ..diagnosis.trust import UNSURE
 from ..geometry.arrays import Array
 from ..geometry.camera import Camera
 from ..kernels import blas

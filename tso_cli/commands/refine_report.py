@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from ..plots.page import PageWords
 
 CONVENTION = {
-    "moved": "displacement of a control point, as a share of the object's size, the longest side "
-    "of the start's box",
+    "moved_mean": "displacement of a control point, as a share of the object's size, the longest "
+    "side of the start's box",
     "chamfer_to_initial": "squared distances of control points, mean over points, both directions "
     "summed, longest side 1",
     "iou": IOU_MEANS,
@@ -53,7 +53,7 @@ CONVENTION = {
     "default preset in points mode",
     "best_view": "where a further mask would determine most: degrees to the right of the first "
     "camera and above it, around the object; null without --point-confidence",
-    "step_taken": "whether the displacement was taken",
+    "moved": "whether anything moved: points, or cameras",
     "transform": "4x4, x' = matrix x takes the cloud as it was given to where it moved as one, "
     "before its shape changed; the identity where nothing or a camera moved",
     "moved_as": "nothing, shift, pose (turn and shift), similarity (and size) or camera",
@@ -156,7 +156,7 @@ class RefineReport:
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
             **verdict_document(trust.confidence, trust.verdict, reason, warnings, suspects),
-            "step_taken": fit.outcome == "moved",
+            "moved": result.moved,
             "determined": result.determined,
             "best_view": result.best_view and best_view_document(result.best_view),
             **move_document(result.move),
@@ -294,12 +294,10 @@ class RefineReport:
         return "points"
 
     def _verdict(self) -> str:
-        trust, fit = self.result.trust, self.result.fit
+        trust = self.result.trust
         if trust.verdict is None:
             return "no confidence; a rising IoU proves nothing"
-        # Of a start that is kept, the confidence says nothing of the mistake that is found.
-        meaningful = trust.verdict != "doubtful" or fit.outcome != "unchanged"
-        if not meaningful or trust.confidence is None:
+        if trust.confidence is None:
             return trust.verdict
         return f"{trust.verdict}, confidence {shown(trust.confidence)}"
 

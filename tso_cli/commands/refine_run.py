@@ -25,6 +25,8 @@ from .sentences import Words
 
 # Memory of one control point.
 BYTES_OF_A_CONTROL_POINT = 1100
+LEFT = 4
+"""The exit code with --strict where the cloud is written as it was."""
 INTERRUPTED = 130
 """The exit code after Ctrl-C."""
 
@@ -115,7 +117,9 @@ class RefineRun:
         """Refine, write the files and print the result; the exit code."""
         report, refused = self.work()
         self._print(report, refused)
-        return INTERRUPTED if report.result.fit.stop_reason == "interrupted" else 0
+        if report.result.fit.stop_reason == "interrupted":
+            return INTERRUPTED
+        return LEFT if self._strict and not report.result.moved else 0
 
     def work(self) -> tuple[RefineReport, bool]:
         """Refine and write the files: the report, and whether --strict left them unwritten."""

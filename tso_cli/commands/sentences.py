@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..diagnosis.assumptions import INVERTED, Assumption
-from ..diagnosis.confidence import FINDING
 from ..diagnosis.examine import IN_PIXELS, NoOverlapError
 from ..diagnosis.findings import ASSUMED_CAMERA, OF_DEPTH_MAPS, Finding
 from ..diagnosis.placement import describe_box
+from ..diagnosis.trust import FINDING
 from ..errors import InputError
 from ..refinement import RefineResult
+from ..refinement.result import Fit
 from .sentences_of_moves import reading_of
 
 # A largest displacement under this share of the object's size is worth a warning.
@@ -38,10 +39,11 @@ OPTIONS = {
 }
 # What a verdict means; "" where there is none.
 VERDICTS = {
-    "improved": "The points moved, and the Chamfer distance to the true shape probably does not "
-    "grow by more than 5 %. The cloud is probably not harmed; it need not be better.",
-    "unchanged": "No moved cloud was better than the initial cloud, so nothing moved.",
-    "doubtful": "The Chamfer distance to the true shape may grow by more than 5 %.",
+    "fits better": "The cloud moved and agrees better with the masks. Probably that does not harm: "
+    "its Chamfer distance to the true shape grows by at most 5 %. It need not be nearer.",
+    "left": "Nothing that was tried agrees better with the masks, so the cloud is as it was.",
+    "doubtful": "The displacement may harm: the Chamfer distance to the true shape may grow by "
+    "more than 5 %.",
     "": "There is no confidence in this run. A rising IoU proves nothing.",
 }
 # Options that mend what a note says.
@@ -189,10 +191,9 @@ class Words:
             sure = ""
             if trust.confidence is not None and trust.reason != FINDING:
                 sure = f" (confidence {shown(trust.confidence)})"
-            taken = {
-                "refused": ", so the cloud is left as it was",
-                "moved": ", and the points moved",
-            }.get(fit.outcome, "")
+            taken = ", so the cloud is left as it was" if _withheld(fit) else ""
+            if fit.outcome == "moved":
+                taken = ", and the points moved"
             messages.append(f"the result is doubtful{sure}{taken}: {reason}")
         # A note that is the reason of the doubt is said once.
         notes = [finding for finding in result.findings if finding.name != trust.reason]
@@ -211,15 +212,20 @@ def shown(confidence: float) -> str:
     return f"{confidence:.4f}"[:4]
 
 
+def _withheld(fit: Fit) -> bool:
+    """Whether a displacement was too doubtful to be taken."""
+    return fit.outcome == "left" and fit.stop_reason == "doubtful"
+
+
 def why_unmoved(result: RefineResult) -> str | None:
     """Why no point moved, in words; None where points did."""
     fit = result.fit
     if fit.outcome == "moved":
         return None
     masks = "the mask shows" if len(result.views) == 1 else "the masks show"
-    if fit.outcome == "refused" and result.trust.reason == FINDING:
+    if _withheld(fit) and result.trust.reason == FINDING:
         return "the input looks wrong (--accept-doubtful refines the cloud all the same)"
-    if fit.outcome == "refused":
+    if _withheld(fit):
         return "the displacement is doubtful (--accept-doubtful takes it all the same)"
     return {
         "max_steps": "no steps of the shape were asked for",
@@ -228,7 +234,7 @@ def why_unmoved(result: RefineResult) -> str | None:
         "lower than the loss of the start",
         "nothing_to_do": f"the cloud already agrees with all that {masks}",
         "fits": f"the cloud fits the contours that {masks}",
-        "not_improved": f"nothing that {masks} asks for another shape",
+        "not_improved": f"nothing that was tried agrees better with what {masks}",
     }[fit.stop_reason]
 
 
@@ -240,7 +246,7 @@ def _of_course(result: RefineResult) -> str | None:
         if result.move.explains or result.trust.reason == "unsure-place":
             return None
         return f"it moved as one, which does not explain the misfit: {reason}"
-    if reason and fit.outcome != "refused":
+    if reason and not _withheld(fit):
         what = "nothing to do" if fit.stop_reason == "nothing_to_do" else "nothing moved"
         return f"{what}: {reason}; the cloud is as it was"
     if fit.stop_reason == "interrupted":

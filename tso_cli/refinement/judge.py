@@ -9,10 +9,11 @@ import numpy as np
 
 from ..cloud.cloud import MovedCloud
 from ..diagnosis.best_view import best_view
-from ..diagnosis.confidence import LEAST_OVERLAP, Trust, features_of
+from ..diagnosis.confidence import confidence_of, features_of
 from ..diagnosis.determined import Evidence
 from ..diagnosis.examine import Diagnosis
 from ..diagnosis.findings import Finding
+from ..diagnosis.trust import LEAST_OVERLAP, Facts, Trust, judged
 from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
 from ..geometry.arrays import Array
@@ -74,7 +75,7 @@ def judge(
         )
     problem = weighed.problem
     ending = _ending(weighed, problem, optimised, given, move, diagnosis, settings)
-    if ending.outcome == "refused":
+    if ending.stop_reason == "doubtful":
         move = move.taken_back("the result is doubtful")
     cloud, moved, weights = problem.cloud, ending.moved, weighed.weights
     lengths = np.linalg.norm(moved.displacements, axis=1)
@@ -152,7 +153,8 @@ def _ending(
     settings: Settings,
 ) -> _Ending:
     diagnosis = _outvoted(diagnosis, weighed)
-    displacements = optimised.best - problem.cloud.start
+    cloud = problem.cloud
+    displacements = optimised.best - cloud.start
     moved, of_shape = _moved(problem, displacements)
     # The learned prior may have moved a cloud that no step improved.
     improved = optimised.best_step > 0 or (optimised.begun is not None and displacements.any())
@@ -161,52 +163,57 @@ def _ending(
         kept = "fits"
     if settings.smooth and problem.masks_alone:
         kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights.loss) or kept
+    start = cloud.moved(np.zeros_like(displacements))
     if kept:
-        start = problem.cloud.moved(np.zeros_like(displacements))
-        trust = (
-            Trust.unchanged(diagnosis)
-            if move.kind == "nothing"
-            else Trust.placed(move.explains, diagnosis)
-        )
-        ious = [(before, before) for before, _ in of_shape]
-        if move.kind != "nothing":
-            ious = _ious(problem, given, start)
-        fits = float(np.mean([before for before, _ in of_shape]))
-        trust = trust.limited(diagnosis, fits, fits)
-        doubtful = trust.verdict == "doubtful" and move.kind != "nothing"
-        if (diagnosis.suspicious or doubtful) and not settings.accept_doubtful:
-            return _refused(start, ious, trust)
-        return _Ending(start, ious, trust, "unchanged", kept)
-    unknown = _why_unknown(problem, optimised, settings)
-    if unknown:
-        trust = Trust.unknown(*unknown, diagnosis)
-    else:
-        explained = None if move.kind == "nothing" else move.explains
-        features = None
-        if settings.smooth and all(view.image is None for view in problem.views):
-            cloud = problem.cloud
-            # Where nothing moved as one, the search for a move has measured the start.
-            before = move.missed
-            if move.kind != "nothing" or np.isnan(before):
-                before = missed_by(cloud.body, problem.views)
-            after = missed_by(Body(moved.measured, cloud.centre, cloud.scale), problem.views)
-            features = features_of(problem, optimised, diagnosis, (before, after))
-        trust = Trust.of(features, diagnosis, explained)
+        moved, displacements = start, np.zeros_like(displacements)
+        of_shape = [(before, before) for before, _ in of_shape]
+    facts, features = _facts(problem, optimised, displacements, moved, of_shape, move, diagnosis)
+    facts = replace(
+        facts,
+        improved=not kept,
+        asked=settings.move != "auto",
+        unknown=_why_unknown(problem, optimised, settings),
+    )
+    trust = judged(facts, features)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
-    before, after = np.mean(of_shape, 0)
-    given_iou = float(np.mean([first for first, _ in ious]))
-    if any(view.image is not None for view in problem.views):
-        # A photo moves points along a surface that fits its mask.
-        given_iou = min(given_iou, after)
-    trust = trust.limited(diagnosis, before, after, given_iou)
-    if not (trust.moves or settings.accept_doubtful):
-        return _refused(problem.cloud.moved(np.zeros_like(displacements)), ious, trust)
-    return _Ending(moved, ious, trust, "moved")
+    if trust.verdict == "doubtful" and not (trust.moves or settings.accept_doubtful):
+        return _Ending(start, [(before, before) for before, _ in ious], trust, "left", "doubtful")
+    return _Ending(moved, ious, trust, "left" if kept else "moved", kept)
 
 
-def _refused(start: MovedCloud, ious: Ious, trust: Trust) -> _Ending:
-    """The cloud as it was given."""
-    return _Ending(start, [(before, before) for before, _ in ious], trust, "refused", "doubtful")
+def _facts(
+    problem: Problem,
+    optimised: Optimised,
+    displacements: Array,
+    moved: MovedCloud,
+    ious: Ious,
+    move: Move,
+    diagnosis: Diagnosis,
+) -> tuple[Facts, dict[str, float]]:
+    """What is known of a displaced cloud, and the features of its confidence."""
+    cloud = problem.cloud
+    before, after = (
+        missed_by(Body(points, cloud.centre, cloud.scale), problem.views)
+        for points in (cloud.measured, moved.measured)
+    )
+    features = features_of(problem, displacements, optimised.begun, diagnosis, (before, after))
+    confidence, group = confidence_of(features)
+    far = move.apply(moved.points) - cloud.source.points
+    overlap = np.mean(ious, 0).tolist()
+    placed = move.kind != "nothing"
+    facts = Facts(
+        diagnosis,
+        improved=True,
+        placed=placed,
+        asked=False,
+        explains=move.explains,
+        far=float(np.sqrt(np.square(far).sum(1).mean())) / cloud.scale,
+        missed=(move.missed_before if placed else before, after),
+        overlap=(overlap[0], overlap[1]),
+        confidence=confidence,
+        group=group,
+    )
+    return facts, features
 
 
 def _outvoted(diagnosis: Diagnosis, weighed: WeighedProblem) -> Diagnosis:
@@ -226,7 +233,6 @@ def _why_unknown(
     # What is left undone looks like a mistake.
     few = steps < max(1.0, settings.steps / 2)
     reasons = (
-        ("mode", "a network mode has none", settings.mode != "points"),
         ("points", f"{points} points are too few", points < FEWEST_CONTROL_POINTS),
         ("interrupted", "it was interrupted", few and optimised.interrupted),
         ("steps", f"{steps} steps are too few", few),

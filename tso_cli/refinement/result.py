@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ..diagnosis.best_view import BestView
-from ..diagnosis.confidence import Trust
 from ..diagnosis.findings import Finding
+from ..diagnosis.trust import Trust
 from ..geometry.arrays import Array, Bits, Box
 from ..geometry.camera import Camera
 from ..optimisation.settings import Settings
@@ -24,7 +24,7 @@ StopReason = Literal[
     "fits",
     "doubtful",
 ]
-Outcome = Literal["moved", "unchanged", "refused"]
+Outcome = Literal["moved", "left"]
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,13 @@ class Fit:
     A move as one (`RefineResult.move`) is no part of it, but the IoU before is that of the cloud
     and the cameras that were given.
 
-    outcome : "moved"; "unchanged": the start was best; or "refused": there was a displacement, and
-        it was too doubtful to be taken.
+    outcome : "moved"; or "left": the shape is as it was (``stop_reason``).
     steps : steps that were done. best_step : the step that the result is from. 0 is where the
         optimisation began: a moved cloud with 0 is as the learned prior moved it.
     stop_reason : "max_steps". After "interrupted" (Ctrl-C) and "non_finite" (the loss became NaN or
         infinite) the best so far is kept. Where the result is the start: "nothing_to_do" (its loss
         is 0), "fits" (it fits the contours), "not_improved" (no moved cloud was better) or
-        "doubtful" (refused).
+        "doubtful" (what moved may be worse).
     losses : the objective where the optimisation begins, and after every step.
     loss_before, loss_after : of the start and of the result; with the default preset in points
         mode without the position prior.
@@ -141,6 +140,11 @@ class RefineResult:
     determined: float | None = None
     point_confidence: Array | None = None
     best_view: BestView | None = None
+
+    @property
+    def moved(self) -> bool:
+        """Whether anything moved: the shape, the cloud as one, or cameras."""
+        return self.fit.outcome == "moved" or self.move.kind != "nothing"
 
     @property
     def cameras(self) -> tuple[Camera, ...]:

@@ -208,7 +208,7 @@ def _manifest(seed: int) -> Cases:
 
 
 def _no_work(task: Task) -> Outcome:
-    values = {"verdict": "improved", "confidence": 0.9, "iou_before": 0.6, "iou_after": 0.8}
+    values = {"verdict": "fits better", "confidence": 0.9, "iou_before": 0.6, "iou_after": 0.8}
     return Outcome("done", "0" * 64, 0.0, values=values | {"output": task.item})
 
 

@@ -89,7 +89,7 @@ def run_row(scene: Scene | InputError, config: RefineConfig) -> Record:
         "iou_after": result.fit.iou_after,
         "milliseconds": milliseconds,
     }
-    if result.fit.outcome == "refused":
+    if result.fit.stop_reason == "doubtful":
         row["withheld_ratio"] = distance(_accepted(scene, config).points, scene) / before
     return rounded({**row, "became": became(row)})
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...diagnosis.confidence import LEAST_CONFIDENCE, LEAST_TO_MOVE, MODEL, MOST_DEVIATIONS
+from ...diagnosis.confidence import MODEL, MOST_DEVIATIONS
+from ...diagnosis.trust import LEAST_CONFIDENCE, MOST_OF_DOUBTFUL
 from ...errors import InputError, TsoError
 from ...io.output import atomic_output
 from ...refinement import RefineConfig, refine
@@ -348,8 +349,8 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 STUDY = Study(
     name="confidence",
     about="Scenes of the study of harm: half of them right, half in trouble, refined with the "
-    f"default. A result with a confidence under {LEAST_CONFIDENCE:g} is doubtful, and under "
-    f"{LEAST_TO_MOVE:g} the cloud stays as it was. The confidence was fitted to training shapes "
+    f"default. A result with a confidence under {LEAST_CONFIDENCE:g} is doubtful, and then moves "
+    f"by at most {MOST_OF_DOUBTFUL:.0%} of its size. The confidence was fitted to training shapes "
     "(--fit).",
     parts=("points, best",),
     tables=tables,

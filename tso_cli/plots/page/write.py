@@ -29,7 +29,7 @@ NAMES = {"mask": "outline of the mask", "start": "start", "result": "result"}
 # Settings that the page lists, by their names in the JSON document.
 SETTINGS = (
     "mode", "preset", "moving", "points", "outliers", "steps", "best_step", "stop_reason",
-    "step_taken", "learning_rate", "gamma", "sigma_sq", "device", "checkpoint", "assume", "frame",
+    "moved", "learning_rate", "gamma", "sigma_sq", "device", "checkpoint", "assume", "frame",
     "output", "version",
 )  # fmt: skip
 
