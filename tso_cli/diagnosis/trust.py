@@ -21,7 +21,7 @@ UNSURE = ("unsure-camera", "unsure-place")
 LEAST_CONFIDENCE = 0.8
 # What is doubtful moves at most so far, as a root mean square in longest sides: less harm is small,
 # and most gains of doubtful results are larger risks.
-MOST_OF_DOUBTFUL = 0.05
+MOST_OF_DOUBTFUL = 0.07
 # With less IoU, before or after, a cloud hardly touches its mask, and nothing is sure.
 LEAST_OVERLAP = 0.1
 # With less IoU before, a camera that nobody gave is probably not the right one: of validation
