@@ -44,7 +44,7 @@ CONVENTION = {
     "trust": "of a view: 1, or less where the other views contradict it",
     "moving": "number of control points, which move by themselves: samples of a mesh's faces, or "
     "some points of a large cloud; all others follow them",
-    "outliers": "points far from the rest, which stay where they are",
+    "outliers": "points far from the rest, or that most masks leave out, which stay where they are",
     "confidence": "probability that the displacement does not make the cloud worse by over "
     "5 % in Chamfer distance (a rising IoU is no proof); 1 where the start is best; null where "
     "it is not known",
