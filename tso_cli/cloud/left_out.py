@@ -39,7 +39,7 @@ class Ground:
     HALF_THICKNESS = 0.015  # of the plane's points, in longest sides of what masks do not leave out
     # The least share of the points on it or below that masks leave out, and that lie beyond the
     # object's box. Grounds of 1.5 object widths have 0.36; clouds of another shape at most 0.1.
-    LEAST_BEYOND = 0.25
+    LEAST_BEYOND = 0.4
     MOST_BELOW = 0.08  # the largest share of the points on masks that lie below the plane
     # By how much the IoU with the masks rises without the ground: by 0.13 and more for exact clouds
     # on a ground of 1.5 object widths, and by at most 0.1 for clouds of another shape or place.
@@ -88,8 +88,8 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
 
 
 def _left_out(points: Array, targets: Sequence[Target]) -> Bits:
-    """[N], which ``points`` [N, 3] are outside of most masks, of those that show them."""
-    votes = np.zeros(len(points))
+    """[N], which ``points`` [N, 3] half of the masks leave out, or more, of those that see them."""
+    seen, without = np.zeros((2, len(points)), np.int64)
     for target in targets:
         px, _, visible = target.camera.project_visible(points)
         px = np.where(visible[:, None], px, 0.0)
@@ -97,8 +97,9 @@ def _left_out(points: Array, targets: Sequence[Target]) -> Bits:
         shown = visible & np.where(within, target.known[row, column], not target.truncated)
         apart = np.linalg.norm(target.nearest[row, column] - px, axis=1)
         outside = apart > APART * max(1.0, target.pixel)
-        votes += shown * np.where(outside, 1.0, -1.0)
-    return np.asarray(votes > 0.0)
+        seen += shown
+        without += shown & outside
+    return np.asarray(2 * without >= np.maximum(seen, 1))
 
 
 def _fits(points: Array, views: Sequence[View]) -> bool:
