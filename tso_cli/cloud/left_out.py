@@ -8,7 +8,7 @@ reaches beyond the object, with all that is below it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,22 +48,48 @@ class Ground:
 
 
 @dataclass(frozen=True, eq=False)
+class Plane:
+    """The top of a ground.
+
+    axes : [3, 3], two along the plane, and its normal. height : along the normal.
+    low, high : [2], along the plane, the box of what is above. base : whether points on the plane
+        within that box are of the object, as the base of a sofa.
+    """
+
+    axes: Array
+    height: float
+    low: Array
+    high: Array
+    thickness: float
+    base: bool = False
+
+    def holds(self, points: Array) -> Bits:
+        """[N], which of ``points`` [N, 3] are the ground."""
+        along = points @ self.axes.T
+        over = along[:, 2] - self.height
+        below = np.asarray(over < 0.0)
+        if self.base:
+            beyond = (along[:, :2] < self.low) | (along[:, :2] > self.high)
+            below &= beyond.any(1) | (over < -self.thickness)
+        return below
+
+
+@dataclass(frozen=True, eq=False)
 class LeftOut:
     """What is not the object.
 
     targets : of masks that leave points out; () if only the ground is no part of the object.
-    ground : normal [3] and height of the top of the ground, below which nothing is the object.
+    ground : below its top nothing is the object, apart from what the object stands on.
     """
 
     targets: tuple[Target, ...]
-    ground: tuple[Array, float] | None
+    ground: Plane | None
 
     def holds(self, points: Array) -> Bits:
         """[N], which of ``points`` [N, 3] are not the object."""
         holds = _left_out(points, self.targets)
         if self.ground is not None:
-            normal, height = self.ground
-            holds |= points @ normal < height
+            holds |= self.ground.holds(points)
         return holds
 
 
@@ -77,12 +103,17 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
         return None
     ground = _ground(points, left)
     if ground is not None:
-        above = points @ ground[0] >= ground[1]
-        if _overlap(points[above], views) < _overlap(points, views) + Ground.LEAST_GAIN:
+        above = points[~ground.holds(points)]
+        if _overlap(above, views) < _overlap(points, views) + Ground.LEAST_GAIN:
             ground = None
+        else:
+            with_base = replace(ground, base=True)
+            rest = points[~(with_base.holds(points) | left)]
+            if _missed(rest, some) < min(FITS, _missed(above, some)):
+                ground = with_base
     found = LeftOut(targets, ground)
     rest = points[~found.holds(points)]
-    if longest_side(rest) > 0.0 and _fits(rest, some):
+    if longest_side(rest) > 0.0 and _missed(rest, some) < FITS:
         return found
     return None if ground is None else LeftOut((), ground)
 
@@ -102,8 +133,8 @@ def _left_out(points: Array, targets: Sequence[Target]) -> Bits:
     return np.asarray(2 * without >= np.maximum(seen, 1))
 
 
-def _fits(points: Array, views: Sequence[View]) -> bool:
-    return missed_by(Body(points, *bounding_box_normalisation(points)), views) < FITS
+def _missed(points: Array, views: Sequence[View]) -> float:
+    return missed_by(Body(points, *bounding_box_normalisation(points)), views)
 
 
 def _overlap(points: Array, views: Sequence[View]) -> float:
@@ -111,8 +142,8 @@ def _overlap(points: Array, views: Sequence[View]) -> float:
     return float(np.mean([window_iou(points, view) for view in some]))
 
 
-def _ground(points: Array, left: Bits) -> tuple[Array, float] | None:
-    """Normal and height of the top of a ground of points that are ``left`` [N] out."""
+def _ground(points: Array, left: Bits) -> Plane | None:
+    """The ground, of ``points`` [N, 3] that are ``left`` [N] out."""
     kept = points[~left]
     low, high = (quantile(kept, share) for share in (Ground.TAIL, 1.0 - Ground.TAIL))
     size = float((high - low).max())
@@ -153,4 +184,6 @@ def _ground(points: Array, left: Bits) -> tuple[Array, float] | None:
     above = in_plane[~below]
     low, high = (quantile(above, share) for share in (Ground.TAIL, 1.0 - Ground.TAIL))
     beyond = ((in_plane < low) | (in_plane > high)).any(1) & left
-    return (normal, height) if beyond[below].mean() > Ground.LEAST_BEYOND else None
+    if beyond[below].mean() <= Ground.LEAST_BEYOND:
+        return None
+    return Plane(np.stack([*axes[:2], normal]), height, low, high, 2.0 * half)
