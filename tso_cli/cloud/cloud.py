@@ -17,6 +17,7 @@ from ..geometry.view import View
 from ..io.paint import Paint
 from ..pose.move import Body
 from .control_points import CONTROL_POINTS
+from .left_out import find_left_out
 from .outliers import are_part_of_object, find_outliers
 from .subset import Subset
 from .surface import Surface, SurfaceSamples
@@ -82,18 +83,24 @@ class Cloud:
         """The cloud with its control points, ``most`` of them at most (None: all points move).
 
         A mesh has at most 4,096, and 1,024 for None. Outliers that look like a part of the object
-        in all ``views`` are not taken for outliers.
+        in all ``views`` are not taken for outliers. Points that most of their masks leave out are.
         """
-        outliers = self.outliers
-        if self.surface:
-            samples = SurfaceSamples(self.surface, most or CONTROL_POINTS)
-            return ControlledCloud(self, outliers, samples)
+        outliers, left_out = self.outliers, np.zeros(len(self.points), bool)
         distant = self.points[outliers]
         if views and len(distant) and are_part_of_object(distant, len(self.points), views):
-            outliers = np.zeros(len(self.points), bool)
+            outliers = left_out
+        seen = ~outliers & ~self.faint
+        decides = self.surface.at(self.points) if self.surface else self.points[seen]
+        if views and not self.predicted and (others := find_left_out(decides, views)):
+            left_out = others.holds(self.points) & ~outliers
+        if self.surface:
+            surface, left_out = self.surface.without(left_out)
+            samples = SurfaceSamples(surface, most or CONTROL_POINTS)
+            return ControlledCloud(self, left_out, samples, left_out)
+        outliers = outliers | left_out
         most = None if self.predicted else most
-        subset = Subset(self.points, ~outliers & ~self.faint, most, self.faint)
-        return ControlledCloud(self, outliers, subset)
+        subset = Subset(self.points, seen & ~outliers, most, self.faint & ~outliers)
+        return ControlledCloud(self, outliers, subset, left_out)
 
 
 class ControlledCloud:
@@ -103,13 +110,17 @@ class ControlledCloud:
     ----------
     source : what was given.
     outliers : [V] bool, points that stay where they are. Nothing depends on them.
+    left_out : [V] bool, those of the outliers that most masks leave out.
     control_points : [N, 3] float64, in the unit of the source.
     centre, scale : [3] and a number: (X - centre) / scale of the control points has longest side 1.
     partial : whether some points follow.
     """
 
-    def __init__(self, source: Cloud, outliers: Bits, control: Subset | SurfaceSamples) -> None:
+    def __init__(
+        self, source: Cloud, outliers: Bits, control: Subset | SurfaceSamples, left_out: Bits
+    ) -> None:
         self.source, self.outliers, self._control = source, outliers, control
+        self.left_out = left_out
         self.control_points, self.partial = control.control_points, control.partial
         self.centre, self.scale = bounding_box_normalisation(self.control_points, source.name)
 
@@ -153,16 +164,22 @@ class ControlledCloud:
 
         Those of outliers are 0.
         """
-        spread = self._control.follow(np.repeat(shares[:, None], 3, 1))[:, 0]
+        spread = self._follow(np.repeat(shares[:, None], 3, 1))[:, 0]
         return np.clip(spread, 0.0, 1.0)
 
     def moved(self, displacements: Array) -> MovedCloud:
         """The cloud after ``displacements`` [N, 3] of the control points, in longest sides."""
-        of_points = self._control.follow(displacements)
+        of_points = self._follow(displacements)
         # Added to what was given, so that unmoved points stay the same to the last bit.
         points = self.source.points + self.scale * of_points
         measured = self._control.measured(points)
         return MovedCloud(points, measured, self._control.at_control_points(of_points))
+
+    def _follow(self, displacements: Array) -> Array:
+        """[V, 3], of all points, by those of the control points [N, 3]."""
+        of_points = self._control.follow(displacements)
+        of_points[self.outliers] = 0.0
+        return of_points
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.arrays import Array, Indices
+from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import CANDIDATES, as_triangles, draw_surface, spread_subset
 from ..io.paint import Paint
 from ..losses.nearest import nearest_few
@@ -32,7 +32,7 @@ class Surface:
     def __init__(self, vertices: Array, triangles: Indices) -> None:
         """Raises InputError where the triangles [F, 3] have no area."""
         drawn, shares = draw_surface(vertices, triangles, CANDIDATES, np.random.default_rng(0))
-        self.vertices = vertices
+        self.vertices, self.triangles = vertices, triangles
         self.faces, self.corners = drawn, triangles[drawn]
         self.shares = np.concatenate([1.0 - shares.sum(1, keepdims=True), shares], axis=1)
 
@@ -51,6 +51,21 @@ class Surface:
             return cls(vertices, triangles), ""
         except InputError:
             return None, "the faces have no area"
+
+    def without(self, left_out: Bits) -> tuple[Surface, Bits]:
+        """The surface without faces all of whose vertices are ``left_out`` [V].
+
+        And [V], the vertices that only such faces join. The surface stays if nothing would be left.
+        """
+        kept = ~left_out[self.triangles].all(1)
+        if kept.all() or not kept.any():
+            return self, np.zeros(len(left_out), bool)
+        part = Surface(self.vertices, self.triangles[kept])
+        part.faces = np.flatnonzero(kept)[part.faces]
+        left_out = np.zeros(len(left_out), bool)
+        left_out[self.triangles[~kept]] = True
+        left_out[self.triangles[kept]] = False
+        return part, left_out
 
     def at(self, values: Array, chosen: Indices | slice = slice(None)) -> Array:
         """[S, C], ``values`` [V, C] of the vertices interpolated at the ``chosen`` points."""

@@ -232,6 +232,10 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 )
 @options.overwrite
 @options.flag(
+    "--crop",
+    "Write the object alone, without points far from the rest or that most masks leave out.",
+)
+@options.flag(
     "--point-confidence",
     "Write how far the masks determine each point, 0 to 1, as `confidence` of the .ply, and name "
     "the view whose mask would help most.",

@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Pixels
 from ..geometry.depth_kind import DepthKind
 from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
-from ..io.clouds import check_suffix, write_cloud
+from ..io.clouds import NEW, check_suffix, write_cloud
 from ..io.masks import MaskChoice, masks_in
 from ..io.output import atomic_output, check_output
 from ..io.shipped import DEFAULT, named_checkpoint
@@ -252,6 +252,7 @@ class RefineOutputs:
     write_camera: Path | None
     write_transform: Path | None
     point_confidence: bool
+    crop: bool
     overwrite: bool
 
     def check(self, inputs: list[Path]) -> None:
@@ -261,6 +262,11 @@ class RefineOutputs:
             raise InputError(
                 f"{self.output}: the suffix is {self.output.suffix!a}, expected .ply to hold "
                 f"--point-confidence; write another file: -o {self.output.stem}.ply"
+            )
+        if self.crop and self.output.suffix.lower() not in NEW:
+            raise InputError(
+                f"{self.output}: the suffix is {self.output.suffix!a}, expected {' or '.join(NEW)} "
+                f"for --crop; write another file: -o {self.output.stem}.ply"
             )
         check_output(self.output, self.overwrite)
         for name in ("overlay", "report", "rerun"):
@@ -355,6 +361,7 @@ class RefineOutputs:
                 overwrite=self.overwrite,
                 matrix=result.move.matrix,
                 confidence=result.point_confidence,
+                kept=~result.outliers if self.crop and result.outliers.any() else None,
             )
 
 

@@ -44,7 +44,7 @@ CONVENTION = {
     "trust": "of a view: 1, or less where the other views contradict it",
     "moving": "number of control points, which move by themselves: samples of a mesh's faces, or "
     "some points of a large cloud; all others follow them",
-    "outliers": "points far from the rest, which stay where they are",
+    "outliers": "points far from the rest, or that masks leave out, which stay where they are",
     "confidence": "probability that the displacement does not make the cloud worse by over "
     "5 % in Chamfer distance (a rising IoU is no proof); 1 where the start is best; null where "
     "it is not known",
@@ -247,11 +247,11 @@ class RefineReport:
 
     def summary(self) -> dict[str, str]:
         """What was written (""), the agreement with the masks, the displacement, what was used."""
-        result, fit, count = self.result, self.result.fit, len(self.scene.views)
+        fit, count = self.result.fit, len(self.scene.views)
         masks = f"masks, mean of {count}" if count > 1 else "mask"
         iou = f"{fit.iou_before:.3f} -> {fit.iou_after:.3f}"
         return {
-            "": f"{self.outputs.output}: {len(result.points):,} {self._follow()}",
+            "": f"{self.outputs.output}: {self._written():,} {self._follow()}",
             "IoU": f"{iou} with the {masks} ({self._verdict()})",
             "moved": self._moved(),
             "used": "; ".join(self._used()),
@@ -284,6 +284,10 @@ class RefineReport:
         ):
             if path is not None:
                 click.echo(f"{path}: {content}")
+
+    def _written(self) -> int:
+        outliers = int(self.result.outliers.sum()) if self.outputs.crop else 0
+        return len(self.result.points) - outliers
 
     def _follow(self) -> str:
         result = self.result

@@ -54,6 +54,7 @@ OPTIONS_OF_NOTES = {
     "depth-ray": ": try --depth-kind ray",
     "depth-unrelated": " (--depth-kind z uses it all the same)",
     "rescaled": " (--depth-scale)",
+    "left-out": " (--crop writes the object alone)",
     ASSUMED_CAMERA: " (--camera FILE, or --camera fit)",
     "assumed-picture": " (--camera FILE)",
     "unsure-place": " (`alternatives` in --json has the other places)",

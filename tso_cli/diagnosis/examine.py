@@ -224,7 +224,11 @@ def _notes(
     found: list[Finding | None] = []
     if source.not_a_mesh:
         found.append(Finding("not-a-mesh", values={"why": source.not_a_mesh}))
-    if count := int(cloud.outliers.sum()):
+    left_out = int(cloud.left_out.sum())
+    if left_out:
+        share = 100.0 * left_out / len(source.points)
+        found.append(Finding("left-out", values={"count": left_out, "share": share}))
+    if count := int(cloud.outliers.sum()) - left_out:
         found.append(Finding("outliers", values={"count": count}))
     if count := int(source.faint.sum()):
         found.append(Finding("faint", values={"count": count}))

@@ -201,6 +201,7 @@ def write_cloud(
     dtype: Literal["float32", "float64"] | None = None,
     matrix: Array | None = None,
     confidence: Array | None = None,
+    kept: Bits | None = None,
 ) -> None:
     """Write ``points`` [N, 3] as a .ply, .npy or .xyz file, or as the file they were read from.
 
@@ -221,6 +222,9 @@ def write_cloud(
 
     ``confidence`` [N] in [0, 1] becomes a property of the vertices of a .ply file.
 
+    ``kept`` [N] says which points are written; the default is all. Of a .ply file the faces stay
+    whose vertices all do. .glb, .gltf and .obj files hold all points.
+
     Raises InputError if ``path`` has another suffix or cannot be written, if ``points`` and
     ``like`` differ in number, if a file that is no .ply is to have a ``confidence``, or if
     ``matrix`` does not keep shapes; TsoError if a coordinate is not finite or too large for its
@@ -231,6 +235,9 @@ def write_cloud(
     check_output(path, overwrite)
     if confidence is not None and path.suffix.lower() != ".ply":
         raise InputError(f"{path}: cannot hold the confidence of points, expected a .ply file")
+    if kept is not None and path.suffix.lower() not in NEW:
+        expected = " or ".join(NEW)
+        raise InputError(f"{path}: cannot hold some of its points alone, expected {expected}")
     points = np.asarray(points, dtype=np.float64)
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
@@ -251,9 +258,13 @@ def write_cloud(
         rounding, extent = _rounding(points)
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
         chosen = dtype or (like.precision if like is not None else precise)
+        if kept is not None and suffix != ".ply":
+            points, kept = points[kept], None
         data = _new_file(suffix, points, chosen, like, move)
     if confidence is not None:
         data = PlyFile(data, path).with_confidence(confidence)
+    if kept is not None:
+        data = PlyFile(data, path).cropped(kept)
     write_file(path, data, overwrite)
 
 

@@ -22,7 +22,7 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Bits, Indices
 from .movable import MovableFile
 from .ply_body import BinaryBody, Change, TextBody, layout
-from .ply_header import Element, parse_header
+from .ply_header import Element, Property, parse_header
 from .reading import require_memory, shown
 from .similarity import Similarity, similarity_of
 from .splats import moved_along
@@ -235,21 +235,33 @@ class PlyFile(MovableFile):
                 stacklevel=4,
             )
         element = self.header.elements.get("face")
-        lists = (
-            [p for p in element.properties.values() if p.name in CORNERS and p.length_kind]
-            if element
-            else []
-        )
-        if element is None or not element.count or not lists:
+        if element is None or not element.count or _corners_of(element) is None:
             return None
-        corners = lists[0]
+        fans = [np.empty((0, 3), dtype=np.int64)]
+        for _, _, _, polygons in self._polygons(element, 3):
+            length = polygons.shape[1]
+            triangles = [polygons[:, [0, k, k + 1]] for k in range(1, length - 1)]
+            fans.append(np.stack(triangles, axis=1).reshape(-1, 3))
+        return np.concatenate(fans)
+
+    def _polygons(
+        self, element: Element, least: int
+    ) -> Iterator[tuple[Indices, Indices, str, Indices]]:
+        """For each number of corners, if it is the ``least`` or more, the faces that have it.
+
+        Their rows [F], the places of their corners [F, K], the kind of a corner, and the vertices
+        [F, K]. Raises InputError if a face names a vertex that does not exist.
+        """
+        corners = _corners_of(element)
+        if corners is None:
+            return
         assert corners.length_kind is not None
         starts = self._places_of(element, (corners.name,))
         lengths = self._body.values(starts[:, 0], corners.length_kind)
-        fans = [np.empty((0, 3), dtype=np.int64)]
-        for length in np.unique(lengths[lengths >= 3]).astype(int).tolist():
+        for length in np.unique(lengths[lengths >= least]).astype(int).tolist():
             width, length_width = map(self._body.width, (corners.kind, corners.length_kind))
-            places = starts[lengths == length] + length_width + width * np.arange(length)
+            chosen = np.flatnonzero(lengths == length)
+            places = starts[chosen] + length_width + width * np.arange(length)
             polygons = self._body.values(places, corners.kind)
             exists = (polygons >= 0) & (polygons < self.vertex.count)
             wrong = ~(exists & (polygons == np.floor(polygons)))
@@ -258,9 +270,7 @@ class PlyFile(MovableFile):
                 raise InputError(
                     f"{self.path}: a face names vertex {polygons[wrong][0]:g}, expected 0 to {last}"
                 )
-            triangles = [polygons[:, [0, k, k + 1]] for k in range(1, length - 1)]
-            fans.append(np.stack(triangles, axis=1).reshape(-1, 3).astype(np.int64))
-        return np.concatenate(fans)
+            yield chosen, places, corners.kind, polygons.astype(np.int64)
 
     def with_points(self, points: Array, matrix: Array | None = None) -> bytes:
         """The file with its vertices moved to ``points`` [N, 3]; all other bytes stay.
@@ -311,6 +321,42 @@ class PlyFile(MovableFile):
             body = self._body.changed([Change(places, [there.kind], old, values[:, None])])
         return self.data[:begin] + declared + self.data[end : self.header.size] + body
 
+    def cropped(self, kept: Bits) -> bytes:
+        """The file with the vertices ``kept`` [N] alone, and the faces that join no others.
+
+        Raises InputError if the file has further elements, which may name vertices too.
+        """
+        others = [
+            name
+            for name, element in self.header.elements.items()
+            if element.count and name not in ("vertex", "face")
+        ]
+        if others:
+            raise InputError(
+                f"{self.path}: holds {shown(', '.join(others))} besides vertices and faces, which "
+                "cannot be cropped; write another file, .xyz or .npy"
+            )
+        head, number = self.data[: self.header.size], np.cumsum(kept) - 1
+        removed, corners = {"vertex": ~kept}, []
+        for name, element in self.header.elements.items():
+            if name == "face":
+                removed[name] = np.zeros(element.count, bool)
+                for chosen, places, kind, polygons in self._polygons(element, 1):
+                    whole = kept[polygons].all(1)
+                    removed[name][chosen[~whole]] = True
+                    old, new = (some[whole].astype(float) for some in (polygons, number[polygons]))
+                    corners.append(Change(places[whole], [kind], old, new))
+        counts = {name: int(np.count_nonzero(~gone)) for name, gone in removed.items()}
+        for name, count in counts.items():
+            line = rb"([\r\n]element[ \t]+" + re.escape(name.encode()) + rb"[ \t]+)\d+"
+            head = re.sub(line, rb"\g<1>%d" % count, head, count=1)
+        rows = [self._rows[name][gone] for name, gone in removed.items()]
+        ends = [
+            layout(self._body, self.header.elements[name], some)[1]
+            for name, some in zip(removed, rows, strict=True)
+        ]
+        return head + self._body.without(np.concatenate(rows), np.concatenate(ends), corners)
+
     def _changes(self, old: Array, points: Array, along: list[_Along]) -> Iterator[Change]:
         yield Change(self._places, self.kinds, old, points)
         for element, names, moved in along:
@@ -331,6 +377,12 @@ class PlyFile(MovableFile):
             if element is self.vertex:
                 along += [_Along(element, *group) for group in moved_along(scalars, move)]
         return along
+
+
+def _corners_of(element: Element) -> Property | None:
+    """The list of the vertices of each face."""
+    lists = (p for p in element.properties.values() if p.name in CORNERS and p.length_kind)
+    return next(lists, None)
 
 
 def new_ply(

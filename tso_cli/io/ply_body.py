@@ -150,6 +150,15 @@ class BinaryBody:
         spans = np.concatenate(starts), np.concatenate(ends), np.concatenate(words)
         return spliced(out, self._start, *spans)
 
+    def without(self, rows: Indices, ends: Indices, corners: Sequence[Change]) -> bytes:
+        """The body without the rows [R] that end at ``ends`` [R], and with other ``corners``."""
+        spans = [(rows, ends, np.full(len(rows), b"", object))]
+        for places, (kind,), _, new in corners:
+            values = new.astype(self._order + kind)
+            words = np.array([value.tobytes() for value in values.ravel()], object)
+            spans.append((places.ravel(), places.ravel() + self.width(kind), words))
+        return spliced(self.data, self._start, *map(np.concatenate, zip(*spans, strict=True)))
+
     def with_floats(self, places: Indices, kind: str, values: Array) -> bytes:
         """The body with ``values`` [N] as floats after the values of ``kind`` at ``places`` [N]."""
         at = places + self.width(kind)
@@ -228,6 +237,18 @@ class TextBody:
                 words.append(new[differs].astype("S32"))
         spans = np.concatenate(starts), np.concatenate(ends), np.concatenate(words)
         return spliced(self._table.data, self._start, *spans)
+
+    def without(self, rows: Indices, ends: Indices, corners: Sequence[Change]) -> bytes:
+        # A row ends where the next one starts, so that no line stays empty.
+        starts = np.append(self._table.starts, len(self._table.data))
+        spans = [(starts[rows], starts[ends], np.full(len(rows), b"", object))]
+        for places, _, _, new in corners:
+            words = np.array([b"%d" % value for value in new.ravel().astype(int).tolist()], object)
+            at = places.ravel()
+            spans.append((self._table.starts[at], self._table.ends[at], words))
+        return spliced(
+            self._table.data, self._start, *map(np.concatenate, zip(*spans, strict=True))
+        )
 
     def with_floats(self, places: Indices, kind: str, values: Array) -> bytes:
         at, words = self._table.ends[places], values.astype(np.float32).astype("S32")

@@ -109,8 +109,8 @@ class RefineResult:
         network's output); of a mesh its vertices.
     measured : the points that measures are of, before and after [M, 3]: all points but outliers,
         or samples of a mesh's surface.
-    outliers : [N] bool, points far from the rest: only a move as one moves them, and no measure
-        counts them.
+    outliers : [N] bool, points that are not the object, far from the rest or left out by most
+        masks: only a move as one moves them, and no measure counts them.
     control_points : how many points moved by themselves; all others follow.
     of_mesh : whether the surface of a mesh was refined.
     settings : every setting with its value. fit, views, symmetry, trust, cost : see there.
