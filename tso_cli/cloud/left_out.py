@@ -109,7 +109,7 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
         else:
             with_base = replace(ground, base=True)
             rest = points[~(with_base.holds(points) | left)]
-            if _missed(rest, some) < min(FITS, _missed(above, some)):
+            if _missed(rest, some) < _missed(above, some):
                 ground = with_base
     found = LeftOut(targets, ground)
     rest = points[~found.holds(points)]

@@ -48,7 +48,7 @@ VERDICTS = {
 }
 # Options that mend what a note says.
 OPTIONS_OF_NOTES = {
-    "occluder": " (--ignore FILE, to say what is hidden)",
+    "missing-part": " (--ignore FILE, to say what is hidden)",
     "depth-inverse": ": try --depth-kind inverse",
     "depth-affine": ": try --depth-kind affine",
     "depth-ray": ": try --depth-kind ray",

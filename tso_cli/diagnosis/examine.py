@@ -166,8 +166,6 @@ def _explained(
     ]
     of_scene = points, outlines, assumptions, np.array([box is not None for box in boxes])
     diagnosis = _with_explanation(diagnosis, explain(*of_scene), boxes)
-    if not diagnosis.of_input:
-        diagnosis = _with_occluders(diagnosis, points, views)
     if any(finding.pairs for finding in diagnosis.suspicious):
         paired = explain(*of_scene, mispaired=False)
         return replace(diagnosis, otherwise=_with_explanation(diagnosis, paired, boxes))
@@ -197,20 +195,6 @@ def _with_explanation(
         and len(boxes) >= FEWEST_VIEWS_TO_OUTVOTE
         and suspicious < OUTVOTED_SHARE * len(boxes),
     )
-
-
-def _with_occluders(diagnosis: Diagnosis, points: Array, views: Sequence[View]) -> Diagnosis:
-    """With what is hidden in the views that nothing else is wrong with."""
-    wrong = {number for finding in diagnosis.of_views for number in finding.views}
-    notes, hidden = list(diagnosis.notes), {}
-    right = {number: view for number, view in enumerate(views) if number not in wrong}
-    for number, view in right.items():
-        others = [other for other in right.values() if other is not view]
-        if found := symptoms.occluder(view, number, points, others):
-            notes.append(found[0])
-            hidden[number] = found[1]
-    weak = () if hidden else diagnosis.weak
-    return replace(diagnosis, notes=tuple(notes), hidden=hidden, weak=weak)
 
 
 def _notes(

@@ -48,8 +48,6 @@ NOTES = {
     "outline-corrected": "the mask seems {pixels:.1f} px too {how} on all sides, and is corrected",
     "missing-part": "{share:.0f} % of the cloud lie outside the mask, where the rest of it fits: "
     "something hides the object, or the cloud holds something else; they stay",
-    "occluder": "something seems to hide {share:.0f} % of the object, so the mask counts nothing "
-    "there",
     "unsure-camera": "the fitted camera is unsure: {why}",
     "unsure-place": "the place of the cloud is unsure: {why}",
     "photo": "looks like a photo, grey in many places; expected a mask, light on the object and "

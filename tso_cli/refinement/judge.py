@@ -172,7 +172,7 @@ def _ending(
         facts,
         improved=not kept,
         asked=settings.move != "auto",
-        unknown=_why_unknown(problem, optimised, settings),
+        unknown=None if kept else _why_unknown(problem, optimised, settings),
     )
     trust = judged(facts, features)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
