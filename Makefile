@@ -41,18 +41,15 @@ lint: $(VENV)/ready-to-test
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-# Two processes of one thread each: torch's threads wait for one another on a busy machine. The kernels are compiled first, since
-# what one test compiled would change the last digits of another.
+# Two processes of one thread each: torch's threads wait for one another on a busy machine.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2
 
 # The product and a quick part of the laboratory.
 test: open3d-libraries lint
-	@$(BIN)/tso compile
 	@$(PYTEST) -m "not slow"
 
 # What takes longer: studies, records, trainings in several processes, the commands of the pages.
 test-lab: open3d-libraries
-	@$(BIN)/tso compile
 	@$(PYTEST) -m slow
 
 clean:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from tso_cli.cli import main
-from tso_cli.kernels import dispatch
 
 from .scenes import EXAMPLES, example
 
@@ -38,22 +37,6 @@ class Run(NamedTuple):
         assert (self.code, self.out) == (2, "")
         assert line.startswith("tso: error: ")
         return line
-
-
-class Forgetful(list):
-    """Earlier work that never counts."""
-
-    def __setitem__(self, place, value):
-        pass
-
-
-@pytest.fixture(autouse=True)
-def _no_earlier_work(monkeypatch):
-    """Whether loops are compiled depends on no other refinement.
-
-    Tests compare results bit by bit, and compiled loops round in another way.
-    """
-    monkeypatch.setattr(dispatch, "_earlier", Forgetful([0.0]))
 
 
 @pytest.fixture

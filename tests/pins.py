@@ -26,8 +26,6 @@ os.environ["OMP_NUM_THREADS"] = "1"
 
 from tests.readme import working_copy
 from tso_cli.cli import main as tso
-from tso_cli.kernels import dispatch
-from tso_cli.refinement.api import compile_loops
 
 EXAMPLES = ("chair", "car", "airplane")
 MODES = ("points", "encoder", "encoder-decoder", "latent")
@@ -94,7 +92,6 @@ def pins() -> dict[str, str]:
     """Name -> digest of the cloud and of the JSON document, times aside."""
     digests = {}
     for number, (name, words) in enumerate(commands().items(), 1):
-        dispatch._earlier[0] = 0.0  # each as the first work of a process
         output = [] if words[0] == "eval" or "--check" in words else ["-o", f"{number}.ply"]
         with (
             contextlib.redirect_stdout(io.StringIO()) as printed,
@@ -122,9 +119,6 @@ def _lasting(value: Any) -> Any:
 
 def main(arguments: list[str]) -> int:
     file = Path(arguments[0]).resolve()
-    # Work too small to repay compiling takes the compiled loops only where they are on disk, and
-    # results differ by rounding.
-    compile_loops()
     with tempfile.TemporaryDirectory() as folder:
         working_copy(Path(folder))
         _second_views(Path(folder))

@@ -46,10 +46,6 @@ SECTIONS = {
     "Set-up": {
         "doctor": ("tso_cli.commands.doctor", "Say what is installed, and how to get the rest."),
         "demo": ("tso_cli.commands.demo", "Refine the shipped chair, and judge the result."),
-        "compile": (
-            "tso_cli.commands.compile_loops",
-            "Compile the loops for large clouds once, ahead of time.",
-        ),
     },
     "Research": {
         "lab": ("tso_cli.lab.commands", RESEARCH),

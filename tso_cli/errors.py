@@ -38,7 +38,7 @@ def prefixed(prefix: str) -> Iterator[None]:
 
 
 def is_interrupt(error: BaseException) -> bool:
-    """Whether ``error`` was caused by Ctrl-C; compiled code turns Ctrl-C into other errors."""
+    """Whether ``error`` was caused by Ctrl-C; libraries turn Ctrl-C into other errors."""
     while error.__cause__ is not None:
         error = error.__cause__
     return isinstance(error, KeyboardInterrupt)

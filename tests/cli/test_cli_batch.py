@@ -166,7 +166,7 @@ def test_a_full_disk_loses_no_item(items, tso, monkeypatch):
     files = (str(CHAIR / "initial.ply"), str(CHAIR / "mask.png"))
     words = ("--steps", "1", "-o", "a.ply", "--", *files)
     monkeypatch.setattr(refine_files, "write_cloud", full)
-    outcome = batch_item.refine_item(Task("a.ply", words), False, None)
+    outcome = batch_item.refine_item(Task("a.ply", words), None)
     assert outcome.event == "failed"
     assert outcome.key is None
 
@@ -373,8 +373,7 @@ def test_a_cluster_of_dask_loses_nothing_and_names_the_poison(items, tmp_path):
     assert "its process died" in journal.read_text()
 
 
-@pytest.mark.parametrize("when", ["engine", "compiling"])
-def test_one_ctrl_c_is_never_lost(items, tso, monkeypatch, when):
+def test_one_ctrl_c_is_never_lost(items, tso, monkeypatch):
     """An engine may swallow the exception that Ctrl-C raises while the engine starts."""
     from tso_cli.commands import batch_run
 
@@ -389,10 +388,7 @@ def test_one_ctrl_c_is_never_lost(items, tso, monkeypatch, when):
             yield used
 
     items(HEADER, *(row(f"{number}.ply") for number in range(4)))
-    if when == "engine":
-        monkeypatch.setattr(batch_run, "engine", starting)
-    else:
-        monkeypatch.setattr(batch_run, "_compiled", lambda quiet: swallowed() or False)
+    monkeypatch.setattr(batch_run, "engine", starting)
     shown = tso("batch", "items.csv", "-o", "out")
     assert shown.code == 130
     assert "0 of 4 items" in shown.out

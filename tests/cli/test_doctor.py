@@ -31,7 +31,7 @@ def test_points_mode_works_and_every_line_has_a_name(tso):
     names = [line.split()[0] for line in lines]
     extras = [extra for _, extra in EXTRAS.values()]
     assert names == [
-        "tso", "packages", "points", *dict.fromkeys(extras), "cores", "memory", "devices", "loops",
+        "tso", "packages", "points", *dict.fromkeys(extras), "cores", "memory", "devices",
     ]  # fmt: skip
     assert "points   points mode works" in lines
     assert "devices  not looked for: tso doctor --imports" in lines
@@ -42,7 +42,6 @@ def test_the_json_document_has_the_same(tso):
     assert found["points_mode"] == {"works": True, "error": None}
     assert found["packages"]["numpy"]
     assert found["devices"] is None
-    assert set(found["loops"]) == {"compiled", "folder", "error"}
     assert set(found["extras"]) == {extra for _, extra in EXTRAS.values()}
 
 

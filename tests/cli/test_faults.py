@@ -29,10 +29,8 @@ from tso_cli.io.output import atomic_output, lock, sole_writer
 from tso_cli.io.ply_body import BinaryBody
 from tso_cli.io.reading import TextTable
 from tso_cli.io.shipped import examples_folder
-from tso_cli.kernels import dispatch
 from tso_cli.lab.study import Progress
 from tso_cli.optimisation.objective import SilhouetteObjective
-from tso_cli.refinement import api
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("out.ply", "out.png", "out.json")
@@ -219,127 +217,6 @@ def test_a_full_stdout_is_one_line_and_a_failure():
             "tso: error: stdout, or a file: No space left on device"
         ]
     assert process.returncode == 1
-
-
-DAMAGES = {
-    "empty": lambda path: path.write_bytes(b""),
-    "cut": lambda path: path.write_bytes(path.read_bytes()[:-1]),
-    "changed": lambda path: path.write_bytes(path.read_bytes().replace(b"\x48", b"\x49")),
-    "a folder": lambda path: (path.unlink(), path.mkdir()),
-}
-COMPILING_FAILS = (
-    "from numba.core import compiler\n"
-    "def fail(*_, **__):\n    raise AssertionError('is compiled anew')\n"
-    "compiler.compile_extra = fail\n"
-)
-SQUARE = (
-    "import sys, warnings\nimport numpy as np\n"
-    "warnings.showwarning = lambda message, *_, **__: print(message)\n"
-    "from tso_cli.kernels import points_numba\n"
-    "print(points_numba.chamfer(*np.zeros((2, 3, 3)), *np.zeros((2, 3), int), np.zeros((3, 3))))"
-)
-
-
-@pytest.fixture(scope="module")
-def whole_cache(tmp_path_factory):
-    """A folder with machine code, and what its function prints."""
-    folder = tmp_path_factory.mktemp("cache")
-    return folder, started(
-        program=SQUARE, environment={"NUMBA_CACHE_DIR": str(folder)}
-    ).communicate()[0]
-
-
-@pytest.fixture
-def cache(whole_cache, tmp_path):
-    """A copy of it to damage."""
-    return shutil.copytree(whole_cache[0], tmp_path / "cache"), whole_cache[1]
-
-
-@pytest.mark.parametrize(
-    ("suffix", "damage"),
-    [(".nbi", "empty"), (".nbi", "a folder"), *((".nbc", name) for name in DAMAGES)],
-)
-def test_damaged_machine_code_is_compiled_anew(cache, damage, suffix):
-    folder, before = cache
-    files = list(folder.rglob(f"*{suffix}"))
-    assert files
-    assert "compiled anew" not in before
-    for path in files:
-        DAMAGES[damage](path)
-    first, second = (
-        started(program=SQUARE, environment={"NUMBA_CACHE_DIR": str(folder)}).communicate()
-        for _ in range(2)
-    )
-    assert "they are compiled anew" in first[0]
-    assert first[0].endswith(before)
-    assert first[1] == ""
-    assert damage == "a folder" or second == (before, "")
-
-
-def test_loops_that_cannot_be_kept_are_an_error_of_tso_compile(tso, monkeypatch):
-    program = (
-        "from numba.core import caching\n"
-        "caching.FunctionCache._impl_class._locator_classes = []\n"
-        "from tso_cli.cli import main\nmain()"
-    )
-    run = started("compile", program=program)
-    assert run.communicate()[1].startswith("tso: error: the compiled loops cannot be kept: ")
-    assert run.returncode == 1
-    monkeypatch.setattr(dispatch, "kept", lambda: (Path("full"), 3, 11))
-    monkeypatch.setattr(api, "compile_loops", lambda: None)
-    run = tso("compile")
-    assert run.code == 1
-    assert run.err.startswith("tso: error: full: holds 3 of 11 compiled loops, expected all; ")
-
-
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [("file", "Not a directory"), ("file/below", "Not a directory")],
-)
-def test_a_folder_for_loops_that_the_user_named_and_that_cannot_be_written_is_an_error(
-    tmp_path, name, why
-):
-    (tmp_path / "file").touch()
-    folder = tmp_path / name
-    run = started("compile", environment={"NUMBA_CACHE_DIR": str(folder)})
-    message = rf"{folder}: NUMBA_CACHE_DIR names it, but it cannot be written \({why}\); set .*"
-    assert re.fullmatch(f"tso: error: {message}\n", run.communicate()[1])
-    assert run.returncode == 1
-
-
-REFINE_MUCH = (
-    "import numpy as np\nfrom tso_cli.refinement import RefineConfig, refine, refine_batch\n"
-    "mask = np.zeros((64, 64))\nmask[20:44, 20:44] = 1\n"
-    "points = np.random.default_rng(0).uniform(-0.3, 0.3, (16384, 3))\n"
-    "config = RefineConfig(steps=200, accept_doubtful=True)\n"
-    "assert refine(points, mask, config=config).fit.steps == 200\n"
-    "refine_batch([(points[:256], mask)] * 200, RefineConfig(steps=1))\n"
-)
-
-
-def test_with_numba_switched_off_numpy_does_the_work_in_silence():
-    off = {"NUMBA_DISABLE_JIT": "1"}
-    work, compiling = (
-        started(program=REFINE_MUCH, environment=off),
-        started("compile", environment=off),
-    )
-    assert work.communicate() == ("", "")
-    assert work.returncode == 0
-    assert compiling.communicate()[1].startswith("tso: error: numba is switched off ")
-    assert compiling.returncode == 1
-
-
-@pytest.mark.slow
-def test_four_processes_that_build_the_cache_at_once_keep_all_loops(tmp_path):
-    folder = {"NUMBA_CACHE_DIR": str(tmp_path)}
-    building = [started("compile", environment=folder) for _ in range(4)]
-    for process in building:
-        said = process.communicate()[1]
-        assert re.fullmatch(rf"tso: 11 loops are compiled and kept in {tmp_path}/.* s\)\n", said)
-        assert process.returncode == 0
-    program = COMPILING_FAILS + "from tso_cli.cli import main; main()"
-    again = started("compile", program=program, environment=folder)
-    assert again.communicate()[1].startswith("tso: 11 loops are compiled and kept in ")
 
 
 @pytest.mark.parametrize(
@@ -552,7 +429,7 @@ def test_ctrl_c_while_open3d_is_imported_is_ctrl_c(tso, tmp_path, monkeypatch, f
     assert run.err.splitlines()[-1] == "tso: error: interrupted"
 
 
-def test_ctrl_c_while_a_compiled_loop_is_called_is_ctrl_c(refine, folder, monkeypatch):
+def test_ctrl_c_that_a_library_turned_into_another_error_is_ctrl_c(refine, folder, monkeypatch):
     def interrupted(self, points):
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
 

@@ -93,12 +93,6 @@ def test_no_help_shows_bounds_that_say_nothing(tso, option):
         assert not re.search(r"\bINTEGER\b|\bFLOAT\b|\bRANGE\b", shown), name
 
 
-def test_the_help_of_compile_says_where_work_runs_that_is_not_compiled(tso):
-    shown = tso("compile", "--help").out
-    assert "numpy" in shown
-    assert "torch" not in shown
-
-
 def test_the_defaults_in_the_help_of_train_are_the_ones_used(tso):
     shown = " ".join(tso("train", "--help-all").out.split())
     for name, value in EXAMPLE_DEFAULTS.items():

@@ -14,7 +14,6 @@ from tso_cli.refinement import PRESETS
 # Each takes 0.1 s or more to import with what it imports itself; a whole command takes about 1 s.
 HEAVY = (
     "torch",
-    "numba",
     "scipy",
     "matplotlib",
     "skimage",
@@ -79,7 +78,7 @@ def test_version_and_help_import_no_numbers(tmp_path):
 
 
 def test_the_help_of_a_command_imports_no_torch(tmp_path):
-    commands = ("refine", "eval", "train", "curves", "export", "render", "compile", "bench", "lab")
+    commands = ("refine", "eval", "train", "curves", "export", "render", "bench", "lab")
     assert not _imported(tmp_path, *(f"{command} --help" for command in commands)) & set(HEAVY)
 
 

@@ -13,11 +13,10 @@ from tso_cli.cloud.outliers import (
     spread_over_surfaces,
 )
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.geometry.points import sample_surface
+from tso_cli.geometry.points import sample_surface, spread_subset
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.meshes import read_mesh
 from tso_cli.io.shipped import example_meshes, examples_folder
-from tso_cli.losses.nearest import fast_spread_subset
 from tso_cli.optimisation.symmetry import find_mirror_plane
 from tso_cli.refinement import refine
 
@@ -82,7 +81,7 @@ def test_few_sparse_points_are_control_points_of_a_large_cloud(path):
         chosen = spread_over_surfaces(with_noise(points, share), 1024)
         assert len(set(chosen)) == 1024
         sparse = (chosen >= len(points)).mean()
-        of_even = (fast_spread_subset(with_noise(points, share), 1024) >= len(points)).mean()
+        of_even = (spread_subset(with_noise(points, share), 1024) >= len(points)).mean()
         assert sparse < max(LARGEST_SPARSE_SHARE, 1.3 * share) < of_even
 
 
@@ -91,7 +90,7 @@ def test_few_sparse_points_are_control_points_of_a_large_cloud(path):
 def test_a_sparse_scan_next_to_a_dense_one_has_many_control_points(path, noise):
     """It might be noise, so it has fewer control points than an even spread would give it."""
     points, sparse = merged(surface(path, 16_384), 0.05, noise)
-    even = sparse[fast_spread_subset(points, 1024)].mean()
+    even = sparse[spread_subset(points, 1024)].mean()
     assert sparse[spread_over_surfaces(points, 1024)].mean() > min(2.0 * sparse.mean(), 0.8 * even)
 
 
@@ -103,9 +102,7 @@ def test_evenly_spread_points_lie_nowhere_apart():
 @NAMES
 def test_of_an_even_cloud_the_samples_are_those_of_farthest_point_sampling(name):
     points = example(name).points
-    np.testing.assert_array_equal(
-        spread_over_surfaces(points, 512), fast_spread_subset(points, 512)
-    )
+    np.testing.assert_array_equal(spread_over_surfaces(points, 512), spread_subset(points, 512))
 
 
 @MESHES

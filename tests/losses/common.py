@@ -1,4 +1,4 @@
-"""Both forms of a loss, and its gradient by finite differences and by autograd."""
+"""The gradient of a loss by finite differences and by autograd."""
 
 from collections.abc import Callable
 
@@ -6,19 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from tso_cli.kernels.dispatch import decided
-
 Loss = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
-NUMPY, COMPILED = False, True
 MODELS = pytest.mark.parametrize("model", ["perspective", "orthographic"])
-FORMS = pytest.mark.parametrize("form", [NUMPY, COMPILED], ids=["numpy", "compiled"])
-
-
-def in_form(form: bool, function: Callable, *arguments):
-    """What a function returns where all loops run in one form."""
-    with decided(form):
-        return function(*arguments)
 
 
 def by_autograd(

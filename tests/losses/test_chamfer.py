@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests import oracles
 from tso_cli.losses.chamfer import ChamferToStart, spacings
 
-from .common import COMPILED, FORMS, NUMPY, assert_gradient, by_autograd, in_form
+from .common import assert_gradient, by_autograd
 
 CLOUDS = {
     "random": lambda rng: rng.random((400, 3)),
@@ -34,15 +34,13 @@ def _assert_exact(
         np.testing.assert_allclose(gradient, slope, atol=1e-9 * max(np.abs(slope).max(), 1e-3))
 
 
-@FORMS
 @pytest.mark.parametrize("cloud", CLOUDS)
 @pytest.mark.parametrize("step", [0.0, 1e-2, 0.3])
-def test_value_and_gradient_are_those_of_all_pairs_at_every_step(cloud, step, form):
+def test_value_and_gradient_are_those_of_all_pairs_at_every_step(cloud, step):
     rng = np.random.default_rng(1)
     start = CLOUDS[cloud](rng)
-    chamfer = in_form(form, ChamferToStart, start)
+    chamfer = ChamferToStart(start)
     drift, noise = rng.normal(size=(2, *start.shape))
-    # Each compiled search starts from the neighbours of the previous one.
     for factor in (0.0, 0.5, 1.0, -1.0):
         # Of duplicates either may be the nearest.
         _assert_exact(
@@ -58,31 +56,21 @@ def test_value_and_gradient_are_those_of_all_pairs_at_every_step(cloud, step, fo
 )
 def test_the_distance_is_that_of_all_pairs_whatever_moved(rows, step):
     start, way = np.array(rows)[:, :3], np.array(rows)[:, 3:]
-    for form in (NUMPY, COMPILED):
-        _assert_exact(
-            in_form(form, ChamferToStart, start), start + step * way, compare_gradients=False
-        )
+    _assert_exact(ChamferToStart(start), start + step * way, compare_gradients=False)
 
 
-@FORMS
 @pytest.mark.parametrize("cloud", CLOUDS)
-def test_the_gradient_is_that_of_finite_differences(cloud, form):
+def test_the_gradient_is_that_of_finite_differences(cloud):
     rng = np.random.default_rng(2)
     start = CLOUDS[cloud](rng)[:12]
-    in_form(
-        form,
-        lambda: assert_gradient(
-            ChamferToStart(start), start + 0.02 * rng.random(start.shape), 1e-7
-        ),
-    )
+    assert_gradient(ChamferToStart(start), start + 0.02 * rng.random(start.shape), 1e-7)
 
 
-@FORMS
-def test_a_point_that_is_nan_makes_the_distance_nan(form):
+def test_a_point_that_is_nan_makes_the_distance_nan():
     start = np.random.default_rng(5).random((50, 3))
     moved = start.copy()
     moved[7] = np.nan
-    assert np.isnan(in_form(form, ChamferToStart, start)(moved)[0])
+    assert np.isnan(ChamferToStart(start)(moved)[0])
 
 
 def test_the_spacing_of_a_point_is_the_distance_to_the_nearest_of_the_rest():

@@ -3,23 +3,18 @@
 import numpy as np
 import pytest
 
-from tso_cli.geometry.points import spread_subset as plain_subset
 from tso_cli.losses import nearest as nearest_module
-from tso_cli.losses.nearest import fast_spread_subset, nearest, nearest_few
-
-from .common import COMPILED, FORMS, NUMPY, in_form
+from tso_cli.losses.nearest import nearest, nearest_few
 
 
-@pytest.fixture(params=["numpy", "in parts", "compiled", "tree"])
+@pytest.fixture(params=["at once", "in parts", "tree"])
 def search(request, monkeypatch):
-    """Calls a search in one of its forms."""
+    """Runs a search in one of its forms."""
     if request.param == "in parts":
         monkeypatch.setattr(nearest_module, "PAIRS_AT_ONCE", 1000)
     if request.param == "tree":
         monkeypatch.setattr(nearest_module, "MOST_PAIRS", 0)
-    return lambda *arguments: in_form(
-        COMPILED if request.param == "compiled" else NUMPY, *arguments
-    )
+    return lambda function, *arguments: function(*arguments)
 
 
 def _pairs(queries: np.ndarray, data: np.ndarray) -> np.ndarray:
@@ -42,11 +37,10 @@ def test_neighbours_are_those_of_all_pairs_by_increasing_distance(search, dimens
         assert all(len(set(row)) == expected for row in index.tolist())
 
 
-@FORMS
-def test_of_points_equally_near_the_first_is_chosen(form):
+def test_of_points_equally_near_the_first_is_chosen():
     data = np.random.default_rng(1).normal(size=(40, 3)).repeat(3, 0)
-    assert in_form(form, nearest, data, data).tolist() == (np.arange(120) // 3 * 3).tolist()
-    assert in_form(form, nearest, np.empty((0, 3)), data).shape == (0,)
+    assert nearest(data, data).tolist() == (np.arange(120) // 3 * 3).tolist()
+    assert nearest(np.empty((0, 3)), data).shape == (0,)
 
 
 @pytest.mark.parametrize("spread", [1.0, 1e-3, 1e-6])
@@ -60,16 +54,3 @@ def test_neighbours_close_together_and_far_from_the_rest_are_exact(search, sprea
     chosen = pairs[np.arange(80), search(nearest, queries, data)]
     # The matrix product loses digits of distances that are tiny relative to the cloud.
     np.testing.assert_allclose(chosen, pairs.min(1), atol=1e-13, rtol=1e-9)
-
-
-@FORMS
-@pytest.mark.parametrize("count", [1, 60, 200, 300])
-def test_subsets_are_spread_as_by_farthest_point_sampling(form, count):
-    points = np.random.default_rng(3).normal(size=(200, 3))
-    points[:50] = points[50:100]  # no index is chosen twice
-    # Of a grid many points are equally far: both forms must round alike.
-    grid = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.4, 7)] * 3), -1).reshape(-1, 3)
-    for cloud in (points, grid):
-        np.testing.assert_array_equal(
-            in_form(form, fast_spread_subset, cloud, count), plain_subset(cloud, count)
-        )

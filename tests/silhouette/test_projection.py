@@ -1,22 +1,12 @@
 """Eq. 1 to 3 in torch, batched over clouds and views."""
 
 import numpy as np
-import pytest
 import torch
 
 from tests.losses.scenes import HEIGHT, WIDTH, camera_of
 from tso_cli.geometry.camera import Camera
-from tso_cli.kernels import tensors
 from tso_cli.losses import projection
 from tso_cli.silhouette.projection import CameraBatch, project, silhouette_sums
-
-
-@pytest.fixture(params=["plain", "compiled"])
-def form(request, monkeypatch):
-    """In plain torch, and as compiled loops."""
-    monkeypatch.setattr(
-        tensors, "POINTS_WORTH_COMPILING", 0 if request.param == "compiled" else 1 << 60
-    )
 
 
 def batch_of(*cameras: Camera) -> CameraBatch:
@@ -36,7 +26,6 @@ def test_pixels_and_valid_points_are_those_of_numpy():
     assert not expected.valid.all()
 
 
-@pytest.mark.usefixtures("form")
 def test_the_gradient_from_pixels_to_points_is_that_of_finite_differences():
     points = torch.tensor(
         np.random.default_rng(2).uniform(-0.4, 0.4, (2, 6, 3)), requires_grad=True
@@ -53,7 +42,6 @@ def test_the_gradient_from_pixels_to_points_is_that_of_finite_differences():
     assert torch.autograd.gradcheck(weighted, (points,), eps=1e-6, atol=1e-6)
 
 
-@pytest.mark.usefixtures("form")
 def test_points_at_or_behind_the_camera_are_marked_and_get_no_gradient():
     # The canonical camera stands at z = 2 and looks toward -z.
     points = torch.tensor(

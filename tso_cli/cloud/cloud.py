@@ -49,8 +49,8 @@ class Cloud:
         faint: Bits | None = None,
         paint: Paint | None = None,
     ) -> None:
-        # In rows: every loop would be compiled anew for columns. A copy: what the caller does to
-        # the points later is no matter of the result.
+        # A copy: what the caller does to the points later is no matter of the result. In rows: the
+        # order in memory shows in the last digits.
         self.points: Array = np.array(as_points(as_numpy(points), name), order="C")
         self.name = name
         self.predicted = predicted

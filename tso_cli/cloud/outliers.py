@@ -12,9 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..geometry.arrays import Array, Bits, Indices
-from ..geometry.points import CANDIDATES, bounds, longest_side, quantile, scattered
+from ..geometry.points import (
+    CANDIDATES,
+    bounds,
+    longest_side,
+    quantile,
+    scattered,
+    spread_subset,
+)
 from ..geometry.view import View
-from ..losses.nearest import fast_spread_subset, nearest_few
+from ..losses.nearest import nearest_few
 from ..losses.projection import pixels_under
 
 NEIGHBOUR = 4
@@ -192,7 +199,7 @@ def spread_over_surfaces(points: Array, count: int) -> Indices:
     share = max(LARGEST_SPARSE_SHARE, len(thin) / len(candidates))
     most = min(len(thin), int(share * count))
     parts = ((dense, count - most), (thin, most)) if most else ((dense, count),)
-    return np.concatenate([part[fast_spread_subset(points[part], of)] for part, of in parts])
+    return np.concatenate([part[spread_subset(points[part], of)] for part, of in parts])
 
 
 def _to_fourth(queries: Array, places: Array) -> Array:

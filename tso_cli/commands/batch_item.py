@@ -6,10 +6,8 @@ import errno
 import re
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -17,7 +15,6 @@ from ..batch.remote import cameras_of, exists, is_remote, local, state_of
 from ..batch.run import Outcome, Task
 from ..errors import InputError, TsoError
 from ..io.output import atomic_output
-from ..kernels.dispatch import decided
 from . import options
 from .refine import command as refine_command
 from .refine_files import RefineInputs
@@ -75,7 +72,7 @@ def unchanged(task: Task) -> bool:
     return _key(task, ctx, _cameras(task, ctx)) == task.key
 
 
-def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
+def refine_item(task: Task, pictures: Path | None) -> Outcome:
     """Refine an item, write its files, and say what became of it.
 
     ``pictures`` is the folder of the batch if an index page will show a picture of each item.
@@ -84,7 +81,7 @@ def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
     for pause in PAUSES:
         time.sleep(pause)
         try:
-            outcome = _refined(task, decided(compiled), pictures)
+            outcome = _refined(task, pictures)
             break
         except (TsoError, OSError, click.ClickException) as error:
             text = error.format_message() if isinstance(error, click.ClickException) else str(error)
@@ -96,13 +93,13 @@ def refine_item(task: Task, compiled: bool, pictures: Path | None) -> Outcome:
     return replace(outcome, seconds=time.perf_counter() - begun)
 
 
-def _refined(task: Task, loops: AbstractContextManager[Any], pictures: Path | None) -> Outcome:
+def _refined(task: Task, pictures: Path | None) -> Outcome:
     ctx = context_of(task.arguments)
     cameras = _cameras(task, ctx)
     key = _key(task, ctx, cameras)
     with local(task.arguments, task.item if is_remote(task.item) else "", cameras) as files:
         ctx = context_of(files.words) if files.folders else ctx
-        outcome = _of_files(ctx, task.item, key, loops, pictures)
+        outcome = _of_files(ctx, task.item, key, pictures)
         record = Path(record_of(str(ctx.params["output"])))
         for text in (record, ctx.params["report"], ctx.params["write_camera"]):
             if text is not None and text.is_file():
@@ -114,7 +111,6 @@ def _of_files(
     ctx: click.Context,
     item: str,
     key: str,
-    loops: AbstractContextManager[Any],
     pictures: Path | None,
 ) -> Outcome:
     chosen = dict(ctx.params)
@@ -126,7 +122,7 @@ def _of_files(
     for name in ("output", *WRITTEN):
         if chosen[name] is not None:
             chosen[name].parent.mkdir(parents=True, exist_ok=True)
-    with ctx, loops, options.Warnings(quiet=True) as warned:
+    with ctx, options.Warnings(quiet=True) as warned:
         run = RefineRun(chosen, options.given(ctx), warned.texts, False, strict, True, False, False)
         report, unwritten = run.work()
         document = report.document(warned.texts, written=not unwritten)

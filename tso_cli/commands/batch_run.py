@@ -103,7 +103,7 @@ class BatchRun:
             waiting_for_items() as interrupted,
             engine(self.engine, processes, self.scheduler) as used,
         ):
-            compiled, begun = _compiled(self.quiet), time.perf_counter()
+            begun = time.perf_counter()
 
             def on_end(item: str, outcome: Outcome, summary: Summary) -> None:
                 new = summary.done - summary.skipped
@@ -113,7 +113,7 @@ class BatchRun:
                     bar(summary.done, summary.total, note)
 
             pictures = self.output if self.report else None
-            work = partial(refine_item, compiled=compiled, pictures=pictures)
+            work = partial(refine_item, pictures=pictures)
             try:
                 return run(
                     tasks, past, work, unchanged, used.executor, used.window, journal, on_end,
@@ -131,20 +131,6 @@ class BatchRun:
             if (exists(one) if is_remote(one) else Path(one).exists())
         ]  # fmt: skip
         return f"{there[0]}: exists already, expected a new name or --overwrite" if there else ""
-
-
-def _compiled(quiet: bool) -> bool:
-    """Whether loops are compiled, which is done here if they are not."""
-    from ..kernels.dispatch import on_disk, usable
-    from ..refinement.api import compile_loops
-
-    if not usable():
-        return False
-    if not on_disk():
-        if not quiet:
-            options.log("tso: compiling the loops once, which takes about half a minute")
-        compile_loops()
-    return on_disk()
 
 
 def _document(summary: Summary, seconds: float) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import os
 import platform
-import warnings
 from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -21,7 +20,6 @@ from . import options
 # Modules of a plain installation -> the packages that they are in.
 NEEDED = {
     "numpy": "numpy",
-    "numba": "numba",
     "scipy": "scipy",
     "PIL": "pillow",
     "skimage": "scikit-image",
@@ -72,7 +70,6 @@ def examined(imports: bool) -> dict[str, Any]:
         "processes": cores(),
         "free_memory_bytes": free_memory(),
         "devices": _devices() if imports else None,
-        "loops": _loops(),
     }
 
 
@@ -142,23 +139,6 @@ def _devices() -> list[str]:
     return ["cpu", *gpus, *(["mps"] if torch.backends.mps.is_available() else [])]
 
 
-def _loops() -> dict[str, Any]:
-    """Whether the loops for large clouds are compiled, and where numba keeps them."""
-    found: dict[str, Any] = {"compiled": False, "folder": None, "error": None}
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            from ..kernels.dispatch import kept, switched_off
-
-            if switched_off():
-                return found | {"error": "numba is switched off (NUMBA_DISABLE_JIT)"}
-            folder, on_disk, of_all = kept()
-        found |= {"compiled": on_disk == of_all, "folder": folder and str(folder)}
-    except Exception as error:
-        found["error"] = reason(error)
-    return found
-
-
 def _lines(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """A name and what is said of it, for each line."""
     yield "tso", f"{found['version']}, Python {found['python']}, {found['platform']}"
@@ -182,14 +162,3 @@ def _lines(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
     devices = found["devices"]
     looked = "not looked for: tso doctor --imports" if devices is None else ", ".join(devices)
     yield "devices", looked or "none without torch"
-    yield "loops", _of_loops(found["loops"])
-
-
-def _of_loops(loops: dict[str, Any]) -> str:
-    if loops["error"]:
-        return f"not usable, so numpy does all work: {loops['error']}"
-    if loops["folder"] is None:
-        return "cannot be kept, set NUMBA_CACHE_DIR to a folder that can be written"
-    if loops["compiled"]:
-        return f"compiled, in {loops['folder']}"
-    return f"not compiled, will be kept in {loops['folder']}: tso compile"

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from ..evaluation.footprint import footprint, nearest_cell
 from ..geometry.arrays import Array, Bits, Box
@@ -114,8 +113,10 @@ def _large_parts(cells: Bits, least: float) -> Bits:
     # Every cell takes the largest number of its neighbours until all of a part have one number.
     number = np.where(cells, np.arange(1, cells.size + 1).reshape(cells.shape), 0)
     while True:
+        # Along rows, then along columns: a tenth of the time of windows of nine.
         padded = np.pad(number, 1)
-        largest = sliding_window_view(padded, (3, 3)).max((2, 3)) * cells
+        rows = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
+        largest = np.maximum(np.maximum(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:]) * cells
         if (largest == number).all():
             break
         number = largest

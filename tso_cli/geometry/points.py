@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -106,20 +105,17 @@ def farthest_point_sample(points: ArrayLike, count: int) -> Indices:
     return chosen
 
 
-def spread_subset(
-    points: ArrayLike, count: int, sample: Callable[[Array, int], Indices] = farthest_point_sample
-) -> Indices:
+def spread_subset(points: ArrayLike, count: int) -> Indices:
     """Indices of at most ``count`` evenly spread points of ``points`` [N, 3].
 
-    In a cloud of over CANDIDATES points they are chosen among that many. ``sample`` is the
-    implementation of `farthest_point_sample` to use.
+    In a cloud of over CANDIDATES points they are chosen among that many.
     """
     array = as_points(points)
     indices = np.arange(len(array))
     if len(array) <= count:
         return indices
     candidates = scattered(indices, CANDIDATES)
-    return candidates[sample(array[candidates], min(count, len(candidates)))]
+    return candidates[farthest_point_sample(array[candidates], min(count, len(candidates)))]
 
 
 def bounds(points: Array) -> tuple[Array, Array]:

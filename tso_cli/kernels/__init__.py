@@ -1,4 +1,1 @@
-"""Sums of Gaussians over a pixel grid, nearest neighbours, and losses.
-
-Three forms: plain torch, numba on the CPU, Triton on GPUs.
-"""
+"""Sums of Gaussians over a pixel grid, and nearest neighbours, on the CPU and on GPUs."""

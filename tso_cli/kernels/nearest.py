@@ -1,14 +1,12 @@
-"""Exact nearest neighbours in batches, by all pairs.
-
-Three forms: plain torch, compiled loops on the CPU, Triton on a GPU.
-"""
+"""Exact nearest neighbours in batches: k-d trees on the CPU, all pairs on a GPU."""
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from .tensors import called, triton_runs, use_numba
+from .gpu import triton_runs
 
 # Pairs that plain torch compares at once; it bounds the memory at about 400 MB.
 PAIRS_PER_CHUNK = 1 << 24
@@ -17,7 +15,7 @@ PAIRS_PER_CHUNK = 1 << 24
 def nearest_in_rows(
     queries: Tensor, data: Tensor, valid: Tensor | None = None, active: Tensor | None = None
 ) -> Tensor:
-    """Nearest neighbours in B clouds at once by all pairs, on any device.
+    """Nearest neighbours in B clouds at once, on any device.
 
     Parameters
     ----------
@@ -35,6 +33,14 @@ def nearest_in_rows(
         from .nearest_triton import nearest_in_rows as on_gpu
 
         return on_gpu(queries, data, valid, active)
+    if queries.device.type == "cpu":
+        return _by_trees(queries, data, valid, active)
+    return _by_all_pairs(queries, data, valid, active)
+
+
+def _by_all_pairs(
+    queries: Tensor, data: Tensor, valid: Tensor | None, active: Tensor | None
+) -> Tensor:
     index = torch.full(queries.shape[:2], -1, dtype=torch.int64, device=queries.device)
     places = torch.nonzero(torch.ones_like(index) if active is None else active)
     for part in (
@@ -52,6 +58,23 @@ def nearest_in_rows(
     return index
 
 
+def _by_trees(queries: Tensor, data: Tensor, valid: Tensor | None, active: Tensor | None) -> Tensor:
+    from scipy.spatial import cKDTree
+
+    index = torch.full(queries.shape[:2], -1, dtype=torch.int64)
+    searched, there = queries.isfinite().all(-1), data.isfinite().all(-1)
+    searched = searched if active is None else searched & active
+    there = there if valid is None else there & valid
+    for row, cloud, points, wanted, chosen in zip(
+        index, queries, data, searched, there, strict=True
+    ):
+        numbers = np.flatnonzero(chosen.numpy())
+        if len(numbers) and wanted.any():
+            tree = cKDTree(points[chosen].numpy(), balanced_tree=False, compact_nodes=False)
+            row[wanted] = torch.from_numpy(numbers[tree.query(cloud[wanted].numpy())[1]])
+    return index
+
+
 def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """Nearest neighbours, both ways, between the clouds ``a`` [B, N, 3] and ``b`` [B, M, 3].
 
@@ -60,11 +83,6 @@ def nearest_both_ways(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     [B, N] index into ``b`` of the point nearest to each point of ``a``.
     [B, M] index into ``a`` of the point nearest to each point of ``b``.
     """
-    if use_numba(a if a.shape[1] <= b.shape[1] else b):
-        from . import nearest_numba
-
-        search = nearest_numba.nearest_in_rows
-        return called(search, a, b), called(search, b, a)
     # A point with NaN has no neighbour, but needs some index; any index leads to NaN.
     return nearest_in_rows(a, b).clamp_min_(0), nearest_in_rows(b, a).clamp_min_(0)
 
@@ -86,10 +104,24 @@ def nearest_points(pixels: Tensor, points_px: Tensor, valid: Tensor) -> Tensor:
 
 
 def nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
-    """Row and column [M, H, W] of the marked pixel nearest to each pixel; -1 in images without one.
+    """Row and column [M, H, W] of the marked pixel nearest to each pixel; -1 if there is none."""
+    if marked.device.type != "cpu":
+        return _nearest_marked(marked)
+    from scipy.ndimage import distance_transform_edt
+
+    places = np.full((len(marked), 2, *marked.shape[1:]), -1)
+    for image, place in zip(marked.numpy(), places, strict=True):
+        if image.any():
+            place[:] = distance_transform_edt(~image, return_distances=False, return_indices=True)
+    rows, columns = torch.from_numpy(places).unbind(1)
+    return rows, columns
+
+
+def _nearest_marked(marked: Tensor) -> tuple[Tensor, Tensor]:
+    """`nearest_marked` on any device.
 
     First the nearest marked row in every column is found, then the nearest column in every row:
-    O(W) per pixel, exact, on any device.
+    O(W) per pixel.
     """
     height, width = marked.shape[1:]
     row = torch.arange(height, device=marked.device).unsqueeze(1)

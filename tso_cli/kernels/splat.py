@@ -5,13 +5,15 @@ The choice of a form, and the reference in plain torch.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from .tensors import called, triton_runs, use_numba
+from .gpu import triton_runs
+from .splat_numpy import Splat
 from .window import window_radius
 
 
@@ -25,18 +27,17 @@ def splat(
     points_px : [M, N, 2] column and row.
     valid : [M, N] bool; points that are False add nothing and get no gradient.
     sigma_sq : variance of the Gaussian, px^2.
-    kernel : "exact": every pixel, Eq. 2 as printed, in plain torch. "compiled": only the pixels
-        around each point, numba on the CPU. "triton": as "compiled", on a GPU. "auto": see
-        `tso_cli.kernels.tensors`.
+    kernel : "exact": every pixel, Eq. 2 as printed, in plain torch. "numpy": only the rows around
+        each point, on the CPU. "triton": only the pixels around each point, on a GPU. "auto": the
+        quickest that can run.
 
     Returns
     -------
     [M, height, width] sums, >= 0.
     """
     if kernel == "auto":
-        kernel = (
-            "triton" if triton_runs(points_px) else "compiled" if use_numba(points_px) else "exact"
-        )
+        on_cpu = points_px.device.type == "cpu"
+        kernel = "triton" if triton_runs(points_px) else "numpy" if on_cpu else "exact"
     if kernel == "exact":
         return _exact(points_px, valid, height, width, sigma_sq)
     return _Windowed.apply(points_px, valid, height, width, float(sigma_sq), kernel)
@@ -75,26 +76,37 @@ class _Windowed(torch.autograd.Function):
     ) -> Tensor:
         ctx.save_for_backward(points_px, valid)
         ctx.sigma_sq, ctx.kernel = sigma_sq, kernel
-        radius = window_radius(sigma_sq)
-        return _run(kernel, "sums", points_px, valid, height, width, sigma_sq, radius)
+        if kernel == "triton":
+            from .splat_triton import sums
+
+            return sums(points_px, valid, height, width, sigma_sq, window_radius(sigma_sq))
+        out = points_px.new_empty(len(points_px), height, width)
+        for image, (splat, _) in zip(out, _splats(points_px, valid, out, sigma_sq), strict=True):
+            image.copy_(torch.from_numpy(splat.sums))
+        return out
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grad_outputs: Tensor) -> tuple[Tensor | None, ...]:
-        window = ctx.sigma_sq, window_radius(ctx.sigma_sq)
-        grad = _run(ctx.kernel, "gradient", grad_outputs[0], *ctx.saved_tensors, *window)
+        (points_px, valid), (by_sums,) = ctx.saved_tensors, grad_outputs
+        if ctx.kernel == "triton":
+            from .splat_triton import gradient
+
+            radius = window_radius(ctx.sigma_sq)
+            grad = gradient(by_sums, points_px, valid, ctx.sigma_sq, radius)
+        else:
+            grad = torch.zeros_like(points_px)
+            splats = _splats(points_px, valid, by_sums, ctx.sigma_sq)
+            for image, by_pixels, (splat, drawn) in zip(grad, by_sums, splats, strict=True):
+                by_points = splat.gradient(by_pixels.double().numpy())
+                image[drawn] = torch.from_numpy(by_points).to(image)
         return grad, None, None, None, None, None
 
 
-def _run(kernel: str, name: str, *arguments: Any) -> Tensor:
-    """Call the function ``name`` of the "compiled" or "triton" form, whose import is slow."""
-    result: Tensor
-    if kernel == "triton":
-        from . import splat_triton
-
-        result = getattr(splat_triton, name)(*arguments)
-    else:
-        from . import splat_numba
-
-        result = called(getattr(splat_numba, name), *arguments)
-    return result
+def _splats(
+    points_px: Tensor, valid: Tensor, images: Tensor, sigma_sq: float
+) -> Iterator[tuple[Splat, Tensor]]:
+    """The sums of each of the ``images`` [M, H, W], and which points [N] are drawn."""
+    for points, drawn in zip(points_px, valid & points_px.isfinite().all(-1), strict=True):
+        chosen = points[drawn].double().numpy()
+        yield Splat(chosen, images.shape[1], images.shape[2], sigma_sq), drawn

@@ -1,21 +1,16 @@
-"""Nearest neighbours, and evenly spread subsets, in the form that is fastest for the work.
-
-All distances in numpy, compiled loops, or a k-d tree for many points.
-"""
+"""Nearest neighbours: all distances, or a k-d tree for many points."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ..geometry import points as plain
 from ..geometry.arrays import Array, Indices
-from ..kernels.dispatch import use_compiled
 
 # Distances that are computed at once; it bounds the memory.
 PAIRS_AT_ONCE = 1 << 21
 # With more pairs a k-d tree, whose import takes a quarter of a second, is faster than the matrix of
-# distances, and than the compiled loops.
-MOST_PAIRS, MOST_COMPILED_PAIRS = 1 << 22, 1 << 25
+# distances.
+MOST_PAIRS = 1 << 22
 
 
 def nearest(queries: Array, data: Array) -> Indices:
@@ -25,10 +20,6 @@ def nearest(queries: Array, data: Array) -> Indices:
     """
     if len(queries) * len(data) > MOST_PAIRS:
         return _by_tree(queries, data, 1)
-    if use_compiled() and data.shape[1] == 3:
-        from ..kernels.nearest_numba import nearest_in_rows
-
-        return nearest_in_rows(queries[None], data[None])[0]
     return np.concatenate([squared.argmin(1) for squared in _shifted_distances(queries, data)])
 
 
@@ -37,15 +28,8 @@ def nearest_few(queries: Array, data: Array, count: int) -> Indices:
 
     ``count`` is a small number, at most N.
     """
-    compiled = use_compiled() and data.shape[1] == 3
-    if len(queries) * len(data) > (MOST_COMPILED_PAIRS if compiled else MOST_PAIRS):
+    if len(queries) * len(data) > MOST_PAIRS:
         return _by_tree(queries, data, count).reshape(-1, count)
-    if compiled:
-        from ..kernels import points_numba
-
-        few = np.empty((len(queries), count), np.int64)
-        points_numba.nearest_few(queries, data, few)
-        return few
     chosen = []
     for squared in _shifted_distances(queries, data):
         few = np.empty((len(squared), count), np.int64)
@@ -64,20 +48,6 @@ def _by_tree(queries: Array, data: Array, count: int) -> Indices:
         queries, count
     )[1]
     return indices
-
-
-def fast_spread_subset(points: Array, count: int) -> Indices:
-    """`tso_cli.geometry.points.spread_subset` in compiled loops, if they run here."""
-    sample = _farthest_points if use_compiled() else plain.farthest_point_sample
-    return plain.spread_subset(points, count, sample)
-
-
-def _farthest_points(points: Array, count: int) -> Indices:
-    from ..kernels.points_numba import farthest_points
-
-    chosen = np.empty(count, np.int64)
-    farthest_points(points, chosen)
-    return chosen
 
 
 def _shifted_distances(queries: Array, data: Array):  # type: ignore[no-untyped-def]

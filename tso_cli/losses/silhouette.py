@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..geometry.arrays import Array
 from ..geometry.camera import Camera
 from ..geometry.resampling import area_resize
-from ..kernels.dispatch import use_compiled
+from ..kernels.splat_numpy import Splat
 from ..kernels.window import NEGLIGIBLE
 from .mask_chamfer import REFERENCE_SIDE
 from .nearest import nearest
@@ -26,24 +26,7 @@ def silhouette_sums(
     points_px: Array, valid: NDArray[np.bool_], height: int, width: int, sigma_sq: float
 ) -> Array:
     """The sums [H, W] of Gaussians whose tanh is the silhouette (Eq. 2)."""
-    along_x, along_y = _weights(points_px[valid], height, width, sigma_sq)
-    sums: Array = along_y.T @ along_x
-    return sums
-
-
-def _weights(points_px: Array, height: int, width: int, sigma_sq: float) -> tuple[Array, Array]:
-    """The factors of the Gaussians along x [N, W] and along y [N, H].
-
-    The sum over points of the factors' products is a matrix product.
-    """
-    steps = (np.arange(width) - points_px[:, :1], np.arange(height) - points_px[:, 1:])
-    # Under this exponent a Gaussian is denormal (under 1e-300), and products of denormals are ten
-    # times slower.
-    least = -700.0
-    along_x, along_y = (
-        np.exp(np.maximum(np.square(step) * (-0.5 / sigma_sq), least)) for step in steps
-    )
-    return along_x, along_y
+    return Splat(points_px[valid], height, width, sigma_sq).sums
 
 
 def silhouette_bce(
@@ -72,30 +55,21 @@ def silhouette_bce(
     """
     height, width = foreground.shape
     share = REFERENCE_SIDE**2 / (width * height)
-    if use_compiled():
-        from ..kernels.silhouette_numba import silhouette_bce as compiled
-
-        value, gradient = compiled(points_px, valid, foreground, background, sigma_sq)
-        return share * value, share * gradient
     gradient = np.zeros((len(points_px), 2))
     chosen = points_px[valid]
-    along_x, along_y = _weights(chosen, height, width, sigma_sq)
-    s = along_y.T @ along_x
+    splat = Splat(chosen, height, width, sigma_sq)
+    s = splat.sums
     covered = s > NEGLIGIBLE
-    safe = np.where(covered, s, 1.0)
-    power = np.exp(-2.0 * safe)
-    missed = np.log1p(power) - np.log(-np.expm1(-2.0 * safe))  # -log tanh s
-    extra = np.logaddexp(0.0, 2.0 * s) - math.log(2.0)  # -log(1 - tanh s)
+    complement = -np.expm1(-2.0 * s)
+    power = 1.0 - complement  # e^-2s
+    complement[~covered] = 1.0
+    more = np.log1p(power)
+    missed = more - np.log(complement)  # -log tanh s
+    extra = 2.0 * s + more - math.log(2.0)  # -log(1 - tanh s)
     value = float((np.where(covered, missed, 0.0) * foreground + extra * background).sum())
     # d(-log tanh s) / ds = -2 / sinh(2 s)
-    by_sum = 2.0 * background / (1.0 + np.exp(-2.0 * s))
-    by_sum -= np.where(covered, foreground * 4.0 * power / -np.expm1(-4.0 * safe), 0.0)
-
-    by_tap = along_y @ by_sum  # [N, W]
-    gradient_x = (by_tap * along_x * (np.arange(width) - chosen[:, :1])).sum(1)
-    by_tap = along_x @ by_sum.T  # [N, H]
-    gradient_y = (by_tap * along_y * (np.arange(height) - chosen[:, 1:])).sum(1)
-    gradient[valid] = np.stack([gradient_x, gradient_y], 1) / sigma_sq
+    toward = np.where(covered, 4.0 * power / complement, 0.0)
+    gradient[valid] = splat.gradient((2.0 * background - foreground * toward) / (1.0 + power))
 
     rows, columns = np.nonzero(~covered & (foreground > 0.0))
     if len(rows):

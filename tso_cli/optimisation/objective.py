@@ -1,9 +1,8 @@
 """Losses of a cloud by its views: functions of points [N, 3] that return value and gradient.
 
 A mask on its way to a loss is a `View` (pixels of the image), a `ResampledView` (cells of the
-window around the object), a `MaskTarget` (what the loss looks up in the cells), a `ViewTarget`
-(the mask's and the depth map's targets with their camera and weight), and, where the work is worth
-it, a `CompiledView` (the same as contiguous arrays for the compiled loop).
+window around the object), a `MaskTarget` (what the loss looks up in the cells), and a `ViewTarget`
+(the mask's and the depth map's targets with their camera and weight).
 """
 
 from __future__ import annotations
@@ -11,16 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..geometry.arrays import Array
-from ..geometry.camera import NEAR, Camera
-from ..kernels.dispatch import use_compiled
+from ..geometry.camera import Camera
 from ..losses.depth import DepthTarget, depth_loss
 from ..losses.mask_chamfer import (
-    COVERED_WITHIN,
     REFERENCE_POINTS,
     MaskTarget,
     mask_chamfer,
@@ -28,9 +24,6 @@ from ..losses.mask_chamfer import (
 from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
 from .resampled_view import ResampledView
-
-if TYPE_CHECKING:
-    from ..kernels.mask_chamfer_numba import CompiledView
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,41 +74,13 @@ class ViewTarget:
 
     def loss(self, points: Array) -> tuple[float, Array]:
         """The losses of mask and depth map, without the weight, and their gradient [N, 3]."""
-        if use_compiled():
-            from ..kernels.mask_chamfer_numba import mask_chamfer as compiled
-
-            value, gradient = compiled(points, self.compiled)
-        else:
-            projected = project_differentiably(points, self.camera)
-            value, by_pixels = mask_chamfer(projected.points_px, projected.valid, self.mask)
-            gradient = projected.pull_back(by_pixels)
+        projected = project_differentiably(points, self.camera)
+        value, by_pixels = mask_chamfer(projected.points_px, projected.valid, self.mask)
+        gradient = projected.pull_back(by_pixels)
         if self.depth is not None:
-            projected = project_differentiably(points, self.camera)
             more, further = depth_loss(points, projected, self.depth)
             value, gradient = value + more, gradient + further
         return value, gradient
-
-    @cached_property
-    def compiled(self) -> CompiledView:
-        """For the compiled loop, in contiguous arrays: others would be compiled anew."""
-        from ..kernels.mask_chamfer_numba import CompiledView
-
-        camera, mask = self.camera, self.mask
-        near = -np.inf if camera.model == "orthographic" else NEAR
-        return CompiledView(
-            K=np.ascontiguousarray(camera.K),
-            R=np.ascontiguousarray(camera.R),
-            t=np.ascontiguousarray(camera.t),
-            near=near,
-            inside=np.ascontiguousarray(mask.inside),
-            outside=np.ascontiguousarray(mask.outside),
-            nearest_in_column=np.ascontiguousarray(mask.nearest_in_column),
-            bounds=np.array(mask.bounds),
-            truncated=mask.truncated,
-            within=COVERED_WITHIN * mask.cells_per_mask_pixel,
-            scale=mask.scale,
-            reference_points=REFERENCE_POINTS,
-        )
 
 
 @dataclass(frozen=True, eq=False)

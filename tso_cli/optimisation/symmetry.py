@@ -13,9 +13,9 @@ from ..cloud.outliers import find_sparse
 from ..errors import InputError
 from ..geometry.arrays import Array
 from ..geometry.mirror_plane import MirrorPlane
-from ..geometry.points import CANDIDATES, as_points, quantile, scattered
+from ..geometry.points import CANDIDATES, as_points, quantile, scattered, spread_subset
 from ..losses.chamfer import spacings
-from ..losses.nearest import fast_spread_subset, nearest
+from ..losses.nearest import nearest
 
 SymmetryOutcome = Literal["used", "given", "not_asked", "none_found"]
 
@@ -86,17 +86,17 @@ def find_mirror_plane(points: Array) -> FittedPlane:
 def fitted_plane(plane: MirrorPlane, points: Array) -> FittedPlane:
     """``plane`` with its misfit to a cloud [N, 3]."""
     points = as_points(points)
-    subset = points[fast_spread_subset(points, Search.MEASURED_POINTS)]
+    subset = points[spread_subset(points, Search.MEASURED_POINTS)]
     return _measured(plane, subset, subset, _spacing(subset))
 
 
 def _best_plane(points: Array) -> FittedPlane:
     """As `find_mirror_plane`, with all points."""
-    measured = points[fast_spread_subset(points, Search.MEASURED_POINTS)]
+    measured = points[spread_subset(points, Search.MEASURED_POINTS)]
     if len(measured) < 4:
         plane = MirrorPlane(np.array([1.0, 0.0, 0.0]), float(points[:, 0].mean()))
         return FittedPlane(plane, np.inf, np.inf)
-    subset = measured[fast_spread_subset(measured, Search.POINTS)]
+    subset = measured[spread_subset(measured, Search.POINTS)]
     centre = subset.mean(0)
     axes = np.concatenate([np.eye(3), np.linalg.svd(subset - centre, full_matrices=False)[2]])
     spacing = _spacing(measured)

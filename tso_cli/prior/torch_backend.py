@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..kernels.tensors import called, use_numba
+from ..kernels.nearest import nearest_in_rows
 
 
 class TorchBackend:
@@ -35,15 +35,8 @@ class TorchBackend:
         return out.scatter_reduce_(1, index, values, "amax")
 
     def nearest(self, queries: Tensor, data: Tensor) -> Tensor:
-        if use_numba(queries):
-            from ..kernels.nearest_numba import nearest_in_rows
-
-            # The loops are for three coordinates.
-            zeros = (0, 3 - queries.shape[2])
-            found: Tensor = called(
-                nearest_in_rows, functional.pad(queries, zeros), functional.pad(data, zeros)
-            )
-            return found
+        if queries.device.type == "cpu":
+            return nearest_in_rows(queries, data)
         # |q - d|^2 - |q|^2 as one product of matrices, which writes its result once.
         extended = torch.cat([-2.0 * data, data.square().sum(-1, keepdim=True)], -1)
         ones = torch.ones_like(queries[..., :1])

@@ -5,18 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..cloud.cloud import Cloud
 from ..diagnosis.assumptions import Assumption
 from ..diagnosis.findings import Finding
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..kernels import blas
-from ..kernels.dispatch import decided, on_disk, planned, usable
 from ..optimisation.loop import Progress
-from ..optimisation.presets import PRESETS
-from ..optimisation.settings import Settings
 from .clock import Clock
 from .config import RefineConfig
 from .result import RefineResult
@@ -95,35 +90,5 @@ def refine(
         if settings.mode == "points":
             known = (*known, *assumed_cameras(masks, cameras))
         scene = as_scene(points, views, assume, known)
-    work = work_of(settings, len(views), len(scene.cloud.points))
-    with planned(*work), blas.one_thread():
+    with blas.one_thread():
         return run(scene, settings, clock, parameters, progress)
-
-
-def work_of(settings: Settings, views: int, points: int) -> tuple[int, int]:
-    """How often a cloud is compared with a view, and that times its points, for `planned`."""
-    comparisons = views * settings.steps
-    if settings.smooth:
-        points = min(points, settings.points or points)
-    if settings.symmetry == "auto":
-        comparisons *= 2  # the flipped views
-    # In numpy a point costs the paper's silhouette several times as much.
-    return comparisons, comparisons * points * (4 if settings.preset == "paper" else 1)
-
-
-def compile_loops(missing_only: bool = False) -> None:
-    """Compile all loops that a refinement uses, and keep the machine code on disk.
-
-    With ``missing_only`` nothing is done if they are there, and nothing without numba.
-    """
-    if not usable() or (missing_only and on_disk()):
-        return
-    mask = np.zeros((64, 64), np.float32)
-    # Larger than the cloud, so that pixels look for their nearest points too.
-    mask[4:60, 4:60] = 1.0
-    points = np.random.default_rng(0).uniform(-0.3, 0.3, (600, 3))
-    with decided(True):
-        for preset in PRESETS:
-            result = refine(points, mask, config=RefineConfig(steps=3, preset=preset))
-            if result.fit.stop_reason == "interrupted":
-                raise KeyboardInterrupt

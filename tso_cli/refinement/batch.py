@@ -15,13 +15,10 @@ import numpy as np
 
 from ..cloud.cloud import as_numpy
 from ..errors import InputError, Interrupted, TsoError
-from ..geometry.view import View
 from ..io.reading import shown
 from ..kernels import blas
-from ..kernels.dispatch import decided, enough_to_load, planned, use_compiled
 from ..signals import at_interrupt
 from ..workers import Ended, Here, WorkerPool, cores, each
-from .api import compile_loops, work_of
 from .clock import Clock
 from .config import RefineConfig
 from .result import RefineResult
@@ -43,7 +40,6 @@ class _Job:
     number: int
     scene: Any
     config: RefineConfig
-    compiled: bool  # decided here, so that every process does the same
 
 
 def refine_each(
@@ -163,9 +159,8 @@ def _each(
 ) -> Iterator[tuple[int, RefineResult | TsoError]]:
     """``stop`` is set at Ctrl-C; None if Ctrl-C is the caller's."""
     processes = _processes(len(scenes) if isinstance(scenes, Sized) else None)
-    compiled = _compiled(scenes, config, executor is not None or processes > 0)
     # A tensor on a GPU cannot be read in another process.
-    jobs = (_Job(number, _on_cpu(one), config, compiled) for number, one in enumerate(scenes))
+    jobs = (_Job(number, _on_cpu(one), config) for number, one in enumerate(scenes))
     own = WorkerPool(processes) if executor is None and processes else None
     most = window or (AHEAD * cores() if executor or own else 1)
 
@@ -232,37 +227,10 @@ def _on_cpu(scene: Any) -> Any:
     return (as_numpy(scene[0]), *scene[1:]) if isinstance(scene, tuple) and scene else scene
 
 
-def _compiled(scenes: Iterable[Scene], config: RefineConfig, processes: bool) -> bool:
-    """Whether the scenes are refined in compiled loops, which are compiled here if that pays."""
-    if isinstance(scenes, Sequence):
-        work = _work(scenes, config)
-    else:  # nobody knows how many there are
-        work = enough_to_load()
-    with planned(*work):
-        compiled = use_compiled()
-    if compiled and processes:
-        # Here, and not by every process at once.
-        compile_loops(missing_only=True)
-    return compiled
-
-
-def _work(scenes: Sequence[Scene], config: RefineConfig) -> tuple[int, int]:
-    """The sum of the scenes' work; a scene that cannot be read counts as nothing."""
-    comparisons = points = 0
-    for scene in scenes:
-        try:
-            views = 1 if isinstance(scene[1], View) else len(scene[1])
-            of_scene = work_of(config.settings(views), views, len(scene[0]))
-        except (TypeError, LookupError):
-            continue
-        comparisons, points = comparisons + of_scene[0], points + of_scene[1]
-    return comparisons, points
-
-
 def _refined(job: _Job) -> tuple[RefineResult, list[Warning]]:
     """The result, and the warnings on the way, which may arise in another process."""
     number = job.number
-    with warnings.catch_warnings(record=True) as caught, decided(job.compiled), blas.one_thread():
+    with warnings.catch_warnings(record=True) as caught, blas.one_thread():
         warnings.simplefilter("always", UserWarning)
         try:
             points, masks = _points_and_views(job.scene, number)

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from ..kernels.nearest import PAIRS_PER_CHUNK, nearest_marked
-from ..kernels.tensors import PrecomputedGradient, called, use_numba
 from .bce import pixel_weight, pixels_to_points
 from .projection import pixels_under
 
@@ -35,8 +34,7 @@ def affinity(
        silhouette.
     2. "points" takes O(HW). Each uncovered mask pixel (silhouette <= 0.5) attracts its nearest
        projected point. Each point on background inside the image is attracted by the mask pixel
-       nearest to the point's own pixel. Of several equally near, plain torch, numba and Triton may
-       choose different ones.
+       nearest to the point's own pixel. Of several equally near any may be chosen.
 
     Returns
     -------
@@ -93,13 +91,6 @@ def _least_products(source: Tensor, target: Tensor, marked: Tensor) -> Tensor:
 
 def _points_to_mask(points_px: Tensor, valid: Tensor, inside: Tensor) -> Tensor:
     """Sum [M] over points outside the mask of the squared distance to the nearest mask pixel."""
-    if use_numba(points_px):
-        from ..kernels.losses_numba import points_to_mask
-
-        attraction: Tensor = PrecomputedGradient.apply(
-            points_px, *called(points_to_mask, points_px, valid, inside)
-        )
-        return attraction
     rows, columns = nearest_marked(inside)
     pixel, in_image = pixels_under(points_px, valid, *inside.shape[-2:])
     nearest_px = torch.stack([index.flatten(1).gather(1, pixel) for index in (columns, rows)], -1)

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from ..kernels.nearest import nearest_points
-from ..kernels.tensors import PrecomputedGradient, called, use_numba
 from ..kernels.window import NEGLIGIBLE
 
 # Losses are stated for a 64x64 mask.
@@ -39,13 +38,7 @@ def silhouette_bce(
     foreground, background = mask, 1.0 - mask
     if known is not None:
         foreground, background = mask * known, (1.0 - mask) * known
-    if use_numba(points_px):
-        from ..kernels.losses_numba import cross_entropy
-
-        value, by_sums, waiting = called(cross_entropy, sums, foreground, background, NEGLIGIBLE)
-        covered = PrecomputedGradient.apply(sums, value, by_sums)
-    else:
-        covered, waiting = _cross_entropy(sums, foreground, background)
+    covered, waiting = _cross_entropy(sums, foreground, background)
     uncovered = pixels_to_points(waiting, foreground, points_px, valid, 0.5 / sigma_sq)
     return (covered + uncovered) * pixel_weight(sums)
 
@@ -76,13 +69,6 @@ def pixels_to_points(
 
     The distance is to the nearest projected point.
     """
-    if use_numba(points_px):
-        from ..kernels.losses_numba import pixels_to_points as compiled
-
-        attraction: Tensor = PrecomputedGradient.apply(
-            points_px, *called(compiled, pixels, weight, points_px, valid, factor)
-        )
-        return attraction
     index = nearest_points(pixels, points_px, valid).flatten(1)
     width, count = pixels.shape[2], points_px.shape[1]
     number = torch.arange(index.shape[1], device=index.device)

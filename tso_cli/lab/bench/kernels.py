@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from ...geometry.resampling import area_resize
-from ...kernels.dispatch import decided
 from ...kernels.window import window_radius
 from ...losses.chamfer import ChamferToStart
 from ...losses.projection import project_differentiably
@@ -22,7 +21,7 @@ from ...refinement import RefineConfig, refine
 from ..interrupts import uninterrupted
 from ..study import Cases
 from .refining import chair_views, cloud
-from .timing import FORMS, Contestant, Setting, timed
+from .timing import Contestant, Setting, timed
 
 # (points, pixels each way) of the silhouette, and points of the Chamfer distance.
 PICTURES, CLOUDS = ((1024, 64), (16384, 256)), (1024, 16384)
@@ -39,9 +38,9 @@ def measure_silhouette(setting: Setting, sizes: Sequence[tuple[int, int]] = PICT
         points_px, mask = scene(count, side, setting.seed)
         valid = np.ones(count, bool)
         ours = partial(silhouette_bce, points_px, valid, mask, 1.0 - mask, SIGMA_SQ)
-        samples = {f"tso, {form}": timed(ours, form) for form in FORMS}
         target = torch.as_tensor(mask, dtype=torch.float32)
-        samples["scatter 9x9, torch"] = timed(partial(scattered_loss, points_px, target))
+        scatter = timed(partial(scattered_loss, points_px, target))
+        samples = {"tso": timed(ours), "scatter 9x9, torch": scatter}
         fields = {"points": count, "side": side}
         contestants = [Contestant(name, sample, fields) for name, sample in samples.items()]
         records += setting.race("silhouette", contestants, "over_tso")
@@ -105,11 +104,8 @@ def _along(term: Term, iterates: Sequence[Array]) -> None:
 
 
 def terms(initial: Array) -> dict[str, Term]:
-    """Contestant -> its Chamfer distance to ``initial`` [N, 3]; tso's compiled loops are first."""
-    result: dict[str, Term] = {}
-    for form in FORMS:
-        with decided(form == "compiled"):
-            result[f"tso, {form}"] = ChamferToStart(initial)
+    """Contestant -> its Chamfer distance to ``initial`` [N, 3]; tso's is first."""
+    result: dict[str, Term] = {"tso": ChamferToStart(initial)}
     for workers, name in ((1, "1 worker"), (-1, "all workers")):
         result[f"two k-d trees a step, {name}"] = partial(_k_d_trees, initial, workers)
     return result

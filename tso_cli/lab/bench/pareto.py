@@ -14,7 +14,6 @@ from ...evaluation.metrics import chamfer
 from ...geometry.points import Array
 from ...io.shipped import default_checkpoint
 from ...network.model import BaseNetwork
-from ...refinement.api import compile_loops
 from .. import options
 from ..stability.peers import PEERS
 from ..studies.accuracy import CATEGORIES
@@ -70,7 +69,6 @@ def plan(
     settings: Record = {"limit": limit, "seed": seed, "machine": machine()}
     settings |= {"shapes": [shape.name for shape in shapes], "ways": list(ways)}
     settings |= {"network": weights_hash(network)}
-    compile_loops()
     warm = set[str]()
 
     @threadpool_limits.wrap(limits=1)
@@ -97,7 +95,7 @@ def plan(
 
 def _timed(case: Case, way: Way, network: BaseNetwork | None) -> Record:
     results: list[Array] = []
-    seconds = timed(lambda: results.append(way.refined(case, network)), "compiled")()
+    seconds = timed(lambda: results.append(way.refined(case, network)))()
     before, after = (chamfer(points, case.target).chamfer for points in (case.initial, results[0]))
     return rounded({"ratio": after / before, "seconds": seconds})
 

@@ -37,7 +37,6 @@ from ..interrupts import uninterrupted
 from ..study import Cases
 from ..views import views_around
 from .timing import (
-    FORMS,
     IMPORT_TORCH,
     Contestant,
     Sample,
@@ -188,24 +187,21 @@ def finer_mesh(faces: int) -> Any:
 def measure_object(
     setting: Setting, sizes: Sequence[int] = SIZES, large: int = LARGE, steps: int | None = None
 ) -> Cases:
-    """`refine` in both forms of the loops: both presets, more views, a large cloud.
-
-    And in the form that the default chooses, "", on one core and on all.
-    """
+    """`refine` on one core: both presets, more views, a large cloud; the default on all cores."""
     places = [(preset, points, 1) for points in sizes for preset in PRESETS]
     places += [("best", large, 1), *(("best", sizes[0], views) for views in MORE_VIEWS)]
-    ways = [(*place, form, 1, False) for place in places for form in FORMS]
+    ways = [(*place, 1, False) for place in places]
     on_threads = product((*sizes, large), sorted({1, CORES}), (False, True))
-    ways += [("best", points, 1, "", threads, busy) for points, threads, busy in on_threads]
+    ways += [("best", points, 1, threads, busy) for points, threads, busy in on_threads]
     contestants = [IMPORT_TORCH]
-    for preset, points, views, form, threads, busy in ways:
+    for preset, points, views, threads, busy in dict.fromkeys(ways):
         config = RefineConfig(preset=preset, steps=steps)
         work = partial(_refine, cloud(points, setting.seed), chair_views(views), config)
-        fields = {"points": points, "preset": preset, "views": views, "form": form}
+        fields = {"points": points, "preset": preset, "views": views}
         fields |= {"threads": threads, "busy": busy}
         plural, neighbour = "s" if threads > 1 else "", ", busy neighbour" if busy else ""
-        name = f"{preset}, {form or f'{threads} thread{plural}{neighbour}'}"
-        sample = on_cores(timed(work, form), threads, busy)
+        name = f"{preset}, {threads} thread{plural}{neighbour}"
+        sample = on_cores(timed(work), threads, busy)
         contestants.append(Contestant(name, sample, fields))
     return setting.race("object", contestants, "over_import_torch")
 

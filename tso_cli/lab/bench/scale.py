@@ -25,7 +25,6 @@ from ...geometry.points import longest_side
 from ...io.clouds import read_cloud, write_cloud
 from ...io.shipped import CATEGORIES, examples_folder
 from ...refinement import refine_batch
-from ...refinement.api import compile_loops
 from ...scene.load import load_points_scene
 from ...version import __version__
 from ...workers import WorkerPool
@@ -75,7 +74,6 @@ def plan(
     progress: Progress, *, items: int, kills: int, engines: tuple[str, ...], seed: int
 ) -> Plan:
     """Compare the pace of ways; run a long batch of each engine, and kill it."""
-    compile_loops()
     settings = {
         "items": items,
         "kills": kills,

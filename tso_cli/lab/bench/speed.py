@@ -10,13 +10,11 @@ from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, distribution, version
-from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from ...refinement.api import compile_loops
 from ...version import __version__
 from .. import options
 from ..charts import digits, draw_bars
@@ -32,15 +30,14 @@ PARTS = {
 CONVENTION = {
     "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of a part by "
     "turns in one process; one thread unless stated",
-    "command": "whole processes; a first run finds no byte code of tso and no compiled loops",
+    "command": "whole processes; a first run finds no byte code of tso",
     "large": "whole processes, steady; a scan of points with a mask of 4000x3000, Gaussian splats, "
     "a mesh with many faces",
-    "object": "`refine` in process, one chair, masks of 256x256; after the first call; threads: in "
-    "the form of the loops that tso chooses",
+    "object": "`refine` in process, one chair, masks of 256x256; after the first call",
     "batch": "seconds of a call over the objects in it",
     "busy neighbour": "for each core a process that spins",
     "silhouette": "from projected points to the gradient by them of sums and cross-entropy, one "
-    "picture, sigma^2 0.4 px^2; tso in numpy float64, otherwise float32; the scatter lacks the "
+    "picture, sigma^2 0.4 px^2; tso in float64, otherwise float32; the scatter lacks the "
     "term for mask pixels that no window reaches",
     "chamfer": "one step, value and gradient, mean over points after 10, 30 and 50 steps of the "
     "preset paper",
@@ -65,7 +62,7 @@ MOST_MIB = 1536
 # Targets for one object: points -> time over that of `import torch`.
 OBJECTS = {1024: 0.15, 16384: 0.25}
 # Rows that differ only in cores and neighbour are of the same work.
-WORK = ("preset", "points", "views", "form", "batch")
+WORK = ("preset", "points", "views", "batch")
 CORES = {"object": "threads", "batch": "processes"}
 # What, and whether with a busy neighbour -> target in words, and its time over that on one core.
 ON_CORES = {
@@ -88,9 +85,8 @@ def plan(progress: Progress, *, parts: tuple[str, ...], seed: int) -> Plan:
     Every case holds "what", "name", "points", "side", "runs" and "seconds" ("median", "low",
     "high"), with a ratio to the first contestant: "over_import_torch" or "over_tso".
     """
-    compile_loops()
     setting = Setting(seed=seed, report=progress.report)
-    packages = {name: _version(name) for name in ("torch", "numpy", "numba", "scipy")}
+    packages = {name: _version(name) for name in ("torch", "numpy", "scipy")}
     sizes = {
         "without extras": installed("tso-cli"),
         "with the extra network": installed("tso-cli", *NETWORK),
@@ -191,11 +187,13 @@ def _large_files(chosen: Chosen) -> Claims:
 
 def _objects(chosen: Chosen) -> Claims:
     alone = {"preset": "best", "views": 1, "threads": 1, "busy": False}
-    for (points, most), form in product(OBJECTS.items(), ("", "compiled")):
-        for row in chosen("object", points=points, form=form, **alone):
-            way, ratio = f", {form}" if form else "", row["over_import_torch"]
-            text = f"one object of {points:,} points{way}: at most {most} of `import torch`"
-            yield text, ratio <= most, f"{ratio:.2f}"
+    for points, most in OBJECTS.items():
+        for row in chosen("object", points=points, **alone):
+            text, ratio = (
+                f"one object of {points:,} points: at most {most}",
+                row["over_import_torch"],
+            )
+            yield f"{text} of `import torch`", ratio <= most, f"{ratio:.2f}"
     cores = max((row.get("processes", 1) for row in chosen("batch")), default=1)
     batch = {"preset": "best", "points": 1024, "batch": 64, "processes": cores, "busy": False}
     for row in chosen("batch", **batch):
@@ -309,7 +307,7 @@ def _pivot(
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     """A panel for each part with growing sizes: median milliseconds."""
-    measured = [r for r in record["cases"] if r["seconds"] and r["points"] and r.get("form") != ""]
+    measured = [r for r in record["cases"] if r["seconds"] and r["points"]]
     panels = {
         f"{title}, ms": _pivot(
             [r for r in measured if r["what"] == what],

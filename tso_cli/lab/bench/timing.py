@@ -9,7 +9,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from ...errors import TsoError
-from ...kernels.dispatch import decided
 from ..study import Cases, Record, Report
 
 Sample = Callable[[], float]
@@ -29,7 +27,6 @@ BLOCK = 2e-3
 MOST_RUNS, LEAST_RUNS = 200, 3
 FAR_OVER = 30.0
 """Work that takes this many times the budget is done once."""
-FORMS = ("compiled", "numpy")  # of the loops
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +99,12 @@ def record(what: str, name: str, taken: Sequence[float], **fields: Any) -> Recor
     )
 
 
-def timed(
-    work: Callable[[], object], form: str = "", clock: Callable[[], float] = time.perf_counter
-) -> Sample:
-    """The work in a form of the loops: "numpy", "compiled", or "" for the form that it chooses."""
+def timed(work: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> Sample:
+    """The work as a sample."""
 
     def sample() -> float:
         start = clock()
-        with decided(form == "compiled") if form else nullcontext():
-            work()
+        work()
         return clock() - start
 
     return sample
@@ -137,10 +131,10 @@ def as_installed(folder: Path) -> dict[str, str]:
 
 
 def never_run(folder: Path) -> dict[str, str]:
-    """The environment of a copy of the package without byte code and compiled loops."""
+    """The environment of a copy of the package without byte code."""
     ignored = shutil.ignore_patterns("__pycache__", "examples")
     shutil.copytree(PACKAGE, folder / "fresh" / PACKAGE.name, ignore=ignored)
-    return {"PYTHONPATH": str(folder / "fresh"), "NUMBA_CACHE_DIR": str(folder / "compiled")}
+    return {"PYTHONPATH": str(folder / "fresh")}
 
 
 def process(name: str, arguments: Sequence[str], environment: Environment = as_installed) -> Sample:

@@ -11,7 +11,6 @@ from ...geometry.camera import NEAR, Array
 from ...geometry.points import bounding_box_normalisation
 from ...geometry.view import View
 from ...geometry.window import window_of
-from ...kernels.dispatch import decided
 from ...losses.chamfer import ChamferToStart
 from ...optimisation.presets import PAPER_POINTS, SIGMA_SQ
 from ...optimisation.resampled_view import CELLS, ResampledView, resample_view
@@ -63,8 +62,7 @@ def _optimised(silhouette: Callable[[Tensor], Tensor]) -> Callable[[Array, Seque
         ]
         start = (points - centre) / scale
         moved = torch.tensor(start, dtype=torch.float32, requires_grad=True)
-        with decided(True):
-            to_start = ChamferToStart(start)
+        to_start = ChamferToStart(start)
         adam = torch.optim.Adam([moved], lr=PAPER_POINTS.learning_rate)
         for _ in range(PAPER_POINTS.steps):
             gradient = to_start(moved.detach().double().numpy())[1]

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ...kernels.tensors import use_numba
 from ...prior.features import (
     CELL,
     CELLS,
@@ -184,15 +182,8 @@ def _interpolation(points: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
 
 def _nearest_nodes(points: Tensor, nodes: int) -> Tensor:
     """[B, M, k], in order of increasing distance."""
-    if not use_numba(points):
-        distance = torch.cdist(points, points[:, :nodes])
-        return distance.topk(INTERPOLATED_FROM, dim=2, largest=False).indices
-    from ...kernels.points_numba import nearest_few
-
-    index = np.empty((*points.shape[:2], INTERPOLATED_FROM), np.int64)
-    for cloud, found in zip(points.numpy(), index, strict=True):
-        nearest_few(cloud, cloud[:nodes], found)
-    return torch.from_numpy(index)
+    distance = torch.cdist(points, points[:, :nodes])
+    return distance.topk(INTERPOLATED_FROM, dim=2, largest=False).indices
 
 
 def _chamfer(moved: Tensor, target: Tensor, some: Tensor, others: Tensor) -> Tensor:

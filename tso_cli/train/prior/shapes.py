@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from ...datasets.variants import shape_type
 from ...errors import InputError
 from ...geometry.arrays import Array, Floats
-from ...geometry.points import sample_surface
+from ...geometry.points import farthest_point_sample, sample_surface
 from ...io.meshes import find_meshes, read_mesh
-from ...kernels.points_numba import farthest_points
 from ...render import normalise
 
 Progress = Callable[[int, int, str], None]
@@ -159,9 +158,7 @@ def _read_shape(path: Path, inside: str, category: str) -> Shape:
 def evenly_spread(vertices: NDArray[Any], faces: NDArray[Any], rng: np.random.Generator) -> Floats:
     """Points [POINTS, 3] of the surface, in the order of farthest-point sampling."""
     candidates = sample_surface(vertices, faces, CANDIDATES, rng)
-    chosen = np.empty(POINTS, np.int64)
-    farthest_points(candidates, chosen)
-    return candidates[chosen].astype(np.float32)
+    return candidates[farthest_point_sample(candidates, POINTS)].astype(np.float32)
 
 
 def mirror_axis(points: Floats) -> int:
