@@ -90,7 +90,6 @@ WAYS: dict[str, Way] = {
     ),
     f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
     f"{DEFAULT}, move shape": Way(Variant(RefineConfig(move="shape")), "", (CLOUD,)),
-    f"{DEFAULT}, move pose": Way(Variant(RefineConfig(move="pose")), "", (CLOUD,)),
     f"{DEFAULT}, no learned prior": Way(Variant(RefineConfig(prior=NO_PRIOR))),
     **{name: Way(variant, kinds=(PREDICTION,)) for name, variant in COMBINED.items()},
     **{name: Way(peer) for name, peer in PEERS.items()},
