@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tso_cli.evaluation.metrics import chamfer
-from tso_cli.geometry.view import View
 from tso_cli.lab.bench.pareto import conclude, front
 from tso_cli.lab.bench.pareto_chart import lines
 from tso_cli.lab.bench.peers import PEERS
@@ -74,12 +72,11 @@ def test_sweeps_of_the_input_go_through_the_default():
 
 @pytest.mark.slow
 def test_peers_do_what_the_paper_does_near_the_mask_and_stay_where_it_is_far_from_it(chair):
-    initial, view = chair.initial, View(chair.mask, chair.camera)
-    before = chamfer(initial, chair.target).chamfer
+    initial, view = chair.points, chair.view
     papers = refine(initial, view, config=POINTS[PAPER_PRESET].config).points
     moved = {name: peer(initial, [view]) for name, peer in PEERS.items()}
     ratios = {
-        name: chamfer(points, chair.target).chamfer / before
+        name: chair.error(points) / chair.error(initial)
         for name, points in {"paper": papers, **moved}.items()
     }
     assert ratios["log(tanh + 1e-8)"] == pytest.approx(ratios["paper"], abs=0.01)
