@@ -333,40 +333,6 @@ def confidence() -> str:
     return f"{markdown(header, rows)}\n\n{note}"
 
 
-def flagged() -> str:
-    """How far it works, and how many of the results that get worse are flagged."""
-    from tso_cli.lab.stability.knees import FEW
-
-    halves, knees = record("stability")["halves"], record("stability")["knees"]["best"]
-    dilated, shifted, yaw, aside, distance = (
-        f"{knees[axis]['works_to']:g}"
-        for axis in (
-            "mask dilated",
-            "mask shifted",
-            "yaw of the camera",
-            "camera moved aside",
-            "distance of the camera",
-        )
-    )
-    shares = [
-        f"{100 * halves[group][key] / halves[group]['runs']:.0f} %"
-        for group in ("mask", "camera", "cloud")
-        for key in ("worse", "silent")
-    ]
-    return (
-        "tso *withstands* a change if at most "
-        f"{100 * FEW:.0f} % of the clouds get worse by over 5 %. tso withstands these\n"
-        "errors, each of them alone:\n\n"
-        f"- the mask is dilated by {dilated} %, or shifted by {shifted} %, of the object's size;\n"
-        f"- the camera is turned by {yaw} degrees about the vertical axis through the object, is\n"
-        f"  moved aside by {aside} % of the object's size, or is {distance} times as far away.\n\n"
-        "Each change has several levels, from harmless to hopeless. Take the harder half of them.\n"
-        f"If the mask was wrong, {shares[0]} of the results got worse by over 5 %; if the camera\n"
-        f"was wrong, {shares[2]}; if the cloud was wrong, {shares[4]}. Without a warning it was\n"
-        f"{shares[1]}, {shares[3]} and {shares[5]}."
-    )
-
-
 def network() -> str:
     """The shipped network on types that it has not seen."""
     keys = ("network", "mean_view", "mean_aligned", "nearest")
@@ -626,7 +592,6 @@ FIGURES = (
     depth,
     cameras,
     confidence,
-    flagged,
     network,
     photos,
     moves,

@@ -279,14 +279,14 @@ def test_a_record_that_cannot_be_gone_on_from_is_named(tso, tmp_path):
     path.write_text(
         json.dumps(
             {
-                "study": "stability",
+                "study": "harm",
                 "settings": {"quick": False},
                 "cases": [],
                 "fingerprint": {"x": {}},
             }
         )
     )
-    words = ("bench", "stability", "--quick", "--resume", "-o", path)
+    words = ("bench", "harm", "--quick", "--resume", "-o", path)
     assert f"{path}: the record to go on from has " in tso(*words).refusal
 
 
@@ -304,7 +304,7 @@ def test_a_record_that_another_process_writes_is_refused_until_that_ends_or_is_k
     path = tmp_path / "record.json"
     other = started(path, program=HOLD, stdin=subprocess.PIPE)
     other.stdout.readline()
-    for words in (("speed",), ("speed", "--overwrite"), ("stability", "--quick", "--resume")):
+    for words in (("speed",), ("speed", "--overwrite"), ("harm", "--quick", "--resume")):
         assert f"{path}: another process is writing it" in tso("bench", *words, "-o", path).refusal
     other.kill()
     other.wait()  # what it forked lives on

@@ -11,7 +11,7 @@ from tso_cli.errors import InputError
 from tso_cli.io.shipped import examples_folder
 from tso_cli.lab.studies import accuracy
 from tso_cli.lab.studies.accuracy import conclude
-from tso_cli.lab.studies.refining import ABLATION, NETWORK, POINTS, with_prior
+from tso_cli.lab.studies.refining import ABLATION, COMBINED, POINTS, with_prior
 from tso_cli.lab.studies.shapes import prior_hash
 from tso_cli.prior.file import write_prior
 from tso_cli.prior.network import initial
@@ -32,7 +32,7 @@ def test_an_ablation_changes_the_result(name):
 
 
 def test_the_default_preset_takes_the_prior_of_the_study_in_points_mode_alone():
-    for variants in (NETWORK, ABLATION):
+    for variants in (POINTS, COMBINED, ABLATION):
         chosen = with_prior(variants, "mine.safetensors")
         assert list(chosen) == list(variants)
         for name, variant in chosen.items():
@@ -179,16 +179,6 @@ def test_a_column_must_be_clearly_below_the_papers():
     assert not next(holds for text, holds in held(even).items() if "every column" in text)
 
 
-def test_network_variants_must_gain_twice_what_the_papers_settings_do_and_harm_few_cases():
-    best = {name: 0.89 for name in NETWORK if name.endswith("best")}
-    ratios = dict.fromkeys(NETWORK, 0.95) | best | {"best": 0.79, "latent, then points": 0.7}
-    assert all(held(several(4, "network", "car", ratios)).values())
-    failing = ratios | {"encoder, best": 0.91, "latent, then points": 0.76}
-    found = held(several(4, "network", "car", failing))
-    missed = [text for text, holds in found.items() if not holds]
-    assert [text.partition(" ")[0] for text in missed] == ["from", "the"]
-
-
 @pytest.mark.parametrize(
     ("ablation", "header"),
     [(True, ["", "car, other", "car, near"]), (False, ["category", "variant", "other", "near"])],
@@ -200,8 +190,3 @@ def test_tables_have_a_row_a_variant_and_a_column_a_group(ablation, header):
     assert list(table.header) == header
     assert [row[-2:] for row in table.rows if "best" in row] == [["0.35 (0, 0.35)"] * 2]
     assert [row[-2:] for row in table.rows if "bound" in row] == [["0.30"] * 2]
-
-
-def test_cases_of_several_scales_are_summed_up_by_scale():
-    cases = [{**case, "scale": "128 px"} for case in several(4, "other", "car", GOOD)]
-    assert set(conclude(cases)["summary"]) == {"128 px"}

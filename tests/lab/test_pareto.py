@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tso_cli.lab.bench.pareto import conclude, front
 from tso_cli.lab.bench.pareto_chart import lines
+from tso_cli.lab.bench.peers import PEERS
 from tso_cli.lab.bench.ways import DEFAULT, PAPER, WAYS
-from tso_cli.lab.stability.peers import PEERS
+from tso_cli.lab.studies.refining import PAPER as PAPER_PRESET
+from tso_cli.lab.studies.refining import POINTS
+from tso_cli.refinement import refine
 
 from .studying import holding
 
@@ -64,3 +68,19 @@ def test_sweeps_of_the_input_go_through_the_default():
     assert found["masks"] == [DEFAULT, f"{DEFAULT}, 2 masks", f"{DEFAULT}, 4 masks"]
     assert found[DEFAULT][0] == f"{DEFAULT}, 5 steps"
     assert found["alpha points"] == ["alpha points"]
+
+
+@pytest.mark.slow
+def test_peers_do_what_the_paper_does_near_the_mask_and_stay_where_it_is_far_from_it(chair):
+    initial, view = chair.points, chair.view
+    papers = refine(initial, view, config=POINTS[PAPER_PRESET].config).points
+    moved = {name: peer(initial, [view]) for name, peer in PEERS.items()}
+    ratios = {
+        name: chair.error(points) / chair.error(initial)
+        for name, points in {"paper": papers, **moved}.items()
+    }
+    assert ratios["log(tanh + 1e-8)"] == pytest.approx(ratios["paper"], abs=0.01)
+    assert all(0.9 < ratio < 1.0 for ratio in ratios.values())
+    far = initial + [0.0, 10.0, 0.0]
+    for peer in PEERS.values():
+        np.testing.assert_allclose(peer(far, [view]), far, atol=2e-3)

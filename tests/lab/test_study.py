@@ -13,12 +13,11 @@ from PIL import Image
 
 from tso_cli.errors import InputError
 from tso_cli.lab import options
+from tso_cli.lab.bench.peers import PEERS
 from tso_cli.lab.bench.ways import DEFAULT, PAPER, WAYS
 from tso_cli.lab.commands import tools
 from tso_cli.lab.harm.troubles import TROUBLE
 from tso_cli.lab.options import Option
-from tso_cli.lab.stability.knees import AXIS
-from tso_cli.lab.stability.peers import PEERS
 from tso_cli.lab.studies import evidence, fingerprint, pose, refining
 from tso_cli.lab.study import Plan, Progress, Study, Table, claim, page
 from tso_cli.refinement import RefineConfig
@@ -209,7 +208,6 @@ QUICK_WAYS = {
     for name, way in WAYS.items()
     if name in WAY_NAMES
 }
-AXES = [AXIS[name] for name in ("mask inverted", "yaw of the camera", "start far off")]
 CARS, PLANES, CHAIRS = (("--category", name) for name in ("car", "airplane", "chair"))
 TINY = ("--steps", 1, "--batch-size", 2)
 TINY_PAGE = ("1 steps of 2", "canonical frame, cpu")
@@ -238,7 +236,7 @@ COMMANDS = {
         (*CARS, "--views", 1, *PICTURES),
         1,
         ("got worse", "floor"),
-        {"variants_of": lambda kind, ablation: QUICK, "kinds": ("near",)},
+        {"points": QUICK, "kinds": ("near",)},
     ),
     "evidence": Command(
         ("--views", 1), 1, ("whole", "lack a part"), {"questions": {"missing": QUESTION}}
@@ -269,12 +267,6 @@ COMMANDS = {
         ("prediction: 2 shapes",),
         {"ways": QUICK_WAYS, "categories": ("car", "airplane")},
     ),
-    "stability": Command(
-        ("--quick", *PICTURES),
-        3,
-        ("harmless up to",),
-        {"axes": AXES, "compared": ("mask inverted",)},
-    ),
 }
 
 
@@ -295,7 +287,7 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
     study = replace(study, plan=partial(study.plan, **given.given))
     monkeypatch.setattr(tools, "load", lambda name: study)
     monkeypatch.chdir(tmp_path)
-    meshes = () if "--quick" in arguments else ("--meshes", MESHES, "--split", split)
+    meshes = ("--meshes", MESHES, "--split", split)
     command = ("lab", name, *meshes, *arguments, "-o", "record.json")
     printed, output = tso(*command).out, tmp_path / "record.json"
     for word in given.words:
@@ -312,8 +304,8 @@ def test_each_command_writes_record_chart_and_page_and_resumes_to_the_same_cases
     assert tso(*command, "--resume", "--json").code == 0
     resumed = json.loads(output.read_text())
     assert resumed["cases"][:first] == whole["cases"][:first]
-    timed = name in ("pareto", "stability")  # their cases hold what a clock decides
-    assert timed or timeless(resumed) == timeless(whole)
+    # The cases of pareto hold what a clock decides.
+    assert name == "pareto" or timeless(resumed) == timeless(whole)
 
 
 @pytest.mark.parametrize(
@@ -337,7 +329,7 @@ def test_unusable_input_is_one_line(tso, arguments, message, split, tmp_path, mo
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.parametrize("name", ["pose", "pareto", "stability"])
+@pytest.mark.parametrize("name", ["pose", "pareto", "harm"])
 def test_a_study_asks_for_its_meshes(tso, name):
     assert "--meshes" in tso("lab", name).refusal
 

@@ -43,6 +43,9 @@ MESHES = Option(
 )
 SPLIT = Option("--split", "JSON file or folder of lists.  [default: the shipped network's]", Path)
 CHECKPOINT = Option("--checkpoint", "View-aligned network.", Path, Path("default"))
+UNSEEN = Option("--unseen", "Folder of meshes in no list, with index.csv.", Path)
+FOLDERS = (MESHES.flag, UNSEEN.flag)
+"""Written as DIR in the commands that records keep."""
 PRIOR = Option(
     "--prior", "Learned prior: learned, none, or a file of tso train --prior.", Path, Path(LEARNED)
 )

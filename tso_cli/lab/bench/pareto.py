@@ -15,13 +15,13 @@ from ...geometry.points import Array
 from ...io.shipped import default_checkpoint
 from ...network.model import BaseNetwork
 from .. import options
-from ..stability.peers import PEERS
 from ..studies.accuracy import CATEGORIES
 from ..studies.cases import Case, CaseBuilder, kinds_of
 from ..studies.shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
 from ..studies.summary import grouped, ratio_figures, rounded, standard_error
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .pareto_chart import draw
+from .peers import PEERS
 from .speed import machine
 from .timing import timed
 from .ways import (

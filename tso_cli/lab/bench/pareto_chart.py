@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from ...plots.style import COLOURS, INK, PALE, page
-from ..stability.peers import PEERS
 from ..studies.refining import Variant
 from ..study import Record
+from .peers import PEERS
 from .ways import (
     CLOUD,
     DEFAULT,

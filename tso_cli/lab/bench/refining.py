@@ -60,7 +60,7 @@ LARGE, CORES = 262_144, os.cpu_count() or 1
 """Points of the largest cloud, which the default alone refines."""
 # (preset, points, views) -> numbers of clouds in a batch.
 BATCHES: dict[tuple[Preset, int, int], tuple[int, ...]] = {
-    ("best", 1024, 1): (16, 64, 512),
+    ("best", 1024, 1): (16, 64),
     ("paper", 1024, 1): (16, 64),
 }
 WITH_NEIGHBOUR, DIFFERENT = 64, 16

@@ -54,7 +54,7 @@ manifest, before, begun = Path(sys.argv[1]), memory(), time.perf_counter()
 items = arguments_of(read_manifest(manifest), folder_of(manifest), Path("out"), [])
 print(time.perf_counter() - begun, memory() - before)
 """
-MORE = 600  # items of a batch whose pace is compared: processes take a second to start
+MORE = 300  # items of a batch whose pace is compared: processes take a second to start
 PLUGIN = {
     "poison-1.dist-info/METADATA": "Metadata-Version: 2.1\nName: poison\nVersion: 1\n",
     "poison-1.dist-info/entry_points.txt": "[tso.clouds]\npoison = poison:read\n",

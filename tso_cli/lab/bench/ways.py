@@ -12,9 +12,9 @@ from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
 from ...optimisation.presets import Mode, Preset
 from ...refinement import RefineConfig
-from ..stability.peers import PEERS
 from ..studies.cases import Case
 from ..studies.refining import COMBINED, Variant, alone
+from .peers import PEERS
 
 CLOUD, PREDICTION = "other", "network"
 STARTS = {CLOUD: "start: another shape of the type", PREDICTION: "start: the network's prediction"}
@@ -24,8 +24,8 @@ DEFAULT, PAPER = "points, best", "points, paper"
 STEPS: dict[str, tuple[int | None, ...]] = {
     DEFAULT: (5, 10, None, 40, 80),
     PAPER: (12, 25, None, 100, 200),
-    **{f"{mode}, paper": (12, 25, None) for mode in ("encoder", "encoder-decoder")},
-    **{f"{mode}, best": (6, None, 24) for mode in ("encoder", "encoder-decoder")},
+    **{f"{mode}, paper": (12, None) for mode in ("encoder", "encoder-decoder")},
+    **{f"{mode}, best": (None,) for mode in ("encoder", "encoder-decoder")},
     "latent, paper": (12, None, 100),
     "latent, best": (15, None, 60),
 }
@@ -90,7 +90,6 @@ WAYS: dict[str, Way] = {
     ),
     f"{DEFAULT}, no mirror plane": Way(Variant(RefineConfig(symmetry="none"))),
     f"{DEFAULT}, move shape": Way(Variant(RefineConfig(move="shape")), "", (CLOUD,)),
-    f"{DEFAULT}, move pose": Way(Variant(RefineConfig(move="pose")), "", (CLOUD,)),
     f"{DEFAULT}, no learned prior": Way(Variant(RefineConfig(prior=NO_PRIOR))),
     **{name: Way(variant, kinds=(PREDICTION,)) for name, variant in COMBINED.items()},
     **{name: Way(peer) for name, peer in PEERS.items()},

@@ -8,6 +8,7 @@ from ...commands.options import LazyGroup
 from ..studies import QUESTIONS
 
 TOOLS = {
+    "records": "Make the records again that are due.",
     "page": "Write the pages and charts of records again, without running anything.",
     "fingerprint": "Whether records were made by the method as it is.",
 }

@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...io.output import atomic_output, check_output, sole_writer
 from ...io.reading import read_bytes, shown
 from ...io.shipped import named_checkpoint
-from ..options import Option
+from ..options import FOLDERS, Option
 from ..study import Progress, Record, Study, answer, page, undamaged
 
 OUTPUT = options.output(
@@ -183,7 +183,7 @@ def _command_line(study: Study, values: dict[str, Any]) -> str:
     words = [study.command]
     for option in study.options:
         value = values[option.parameter]
-        if option.required:
+        if option.flag in FOLDERS and value is not None:
             words.append(f"{option.flag} DIR")
         elif option.kind is bool:
             words += [option.flag] if value else []

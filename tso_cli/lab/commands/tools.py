@@ -1,4 +1,4 @@
-"""`tso lab page` and `tso lab fingerprint`: tools for records that exist."""
+"""`tso lab records`, `tso lab page` and `tso lab fingerprint`: tools for all records."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from pathlib import Path
 import click
 
 from ...commands import options
-from ...errors import GateError, InputError
+from ...errors import GateError, InputError, TsoError
 from ...io.reading import shown
+from ...workers.pool import cores
+from .. import options as lab_options
 from ..studies import QUESTIONS
 from ..study import Study, answer, undamaged
 from .records import read_record, write_page, write_record
@@ -22,6 +24,48 @@ def load(name: str) -> Study:
     module, attribute = QUESTIONS[name][0].rsplit(".", 1)
     study: Study = getattr(import_module(f"tso_cli.lab.{module}"), attribute)
     return study
+
+
+@click.command("records")
+@click.argument("names", nargs=-1)
+@click.option("--meshes", type=options.PATH, help=lab_options.MESHES.help)
+@click.option("--unseen", type=options.PATH, help=lab_options.UNSEEN.help)
+@click.option("--photos", type=options.PATH, help="Folder of the photos, with their _par.txt.")
+@click.option(
+    "--jobs",
+    type=options.Whole(1),
+    help="Records that are made at once, each on one core.  [default: the cores]",
+)
+@click.option("-o", "--output", type=options.PATH, required=True, help="Folder of the records.")
+def records(
+    names: tuple[str, ...],
+    meshes: Path | None,
+    unseen: Path | None,
+    photos: Path | None,
+    jobs: int | None,
+    output: Path,
+) -> None:
+    """Make the records NAMES (all) in a folder again, as far as they are due.
+
+    A record is due if it is missing or incomplete, or was made by another method or with other
+    settings. Cheap ones come first, and those that measure time last, each alone. The same command
+    again goes on where it was interrupted.
+    """
+    from ...refinement.api import compile_loops
+    from .renewal import all_due, make, needs
+
+    output.mkdir(parents=True, exist_ok=True)
+    due = all_due(output, names)
+    given = {"--meshes": meshes, "--unseen": unseen, "--photos": photos}
+    needs(due, given)
+    if due:
+        compile_loops()
+    failed = make(due, output, given, jobs or cores())
+    for one in due:
+        if one.kept.name not in failed:
+            click.echo(output / f"{one.kept.name}.json")
+    if failed:
+        raise TsoError(f"{len(failed)} of {len(due)} records were not made: {', '.join(failed)}")
 
 
 @click.command("page")

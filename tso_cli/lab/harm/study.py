@@ -232,7 +232,7 @@ STUDY = Study(
         replace(options.MESHES, required=False),
         options.SPLIT,
         options.part("validation"),
-        Option("--unseen", "Folder of meshes in no list, with index.csv.", Path),
+        options.UNSEEN,
         Option("--per", f"Scenes for each trouble and start.  [default: {SCENES}]", int, least=1),
         Option(
             "--trouble", "May be repeated.  [default: all]", default=(), multiple=True, name="names"

@@ -8,10 +8,6 @@ QUESTIONS = {
     "pareto": ("bench.pareto.STUDY", "What does accuracy cost in seconds?"),
     "speed": ("bench.speed.STUDY", "How fast is tso, and how fast are other ways?"),
     "scale": ("bench.scale.STUDY", "How fast are batches, and what is left of a killed one?"),
-    "stability": (
-        "stability.study.STUDY",
-        "How wrong may masks, cameras, clouds and settings be, and does tso warn?",
-    ),
     "harm": (
         "harm.study.STUDY",
         "How often does a cloud get worse in the field, and does tso say so?",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -15,7 +14,6 @@ from ...evaluation.footprint import IOU_MEANS
 from ...evaluation.metrics import chamfer, f_score
 from ...geometry.points import Array
 from ...io.shipped import default_checkpoint
-from ...network.model import BaseNetwork
 from .. import options
 from ..charts import Panel, draw_ratios, pictures_at
 from ..options import Option
@@ -24,12 +22,13 @@ from .accuracy_claims import claims
 from .bounds import across_the_view
 from .cases import KINDS, Case, CaseBuilder, kinds_of
 from .refining import (
+    ABLATION,
     DEFAULT,
+    POINTS,
     TWO_MASKS,
     Variant,
     alone,
     refined,
-    variants_of,
     with_prior,
 )
 from .shapes import Shape, prior_hash, shapes_of_part, view_aligned_network, weights_hash
@@ -44,13 +43,8 @@ from .summary import (
 )
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
-# Name -> pixels of the masks each way, points of the clouds. The first is the plain one.
-SCALES = {
-    "64 px": (64, 1024),
-    "128 px": (128, 1024),
-    "256 px": (256, 1024),
-    "256 px, 16,384 points": (256, 16_384),
-}
+SIZE, COUNT = 64, 1024
+"""Pixels of the masks each way, points of the clouds."""
 CASES_A_CALL = 32
 F_THRESHOLD = 0.02
 CONVENTION = {
@@ -73,56 +67,44 @@ def plan(
     pictures: Path | None,
     prior: Path,
     kinds: tuple[str, ...] = (),
-    variants_of: Callable[[str, bool], dict[str, Variant]] = variants_of,
+    points: Mapping[str, Variant] = POINTS,
     **settings: Any,
 ) -> Plan:
     """Refine every case of every kind with every variant, and compare it with the truth.
 
     ``prior`` is "learned", "none" or a file, for the variants of the default preset in points mode.
     """
-    ablation, sizes = settings["ablation"], settings["sizes"]
-    every = tuple(kind for kind in KINDS if kind != "right" or not ablation)
-    kinds = kinds or (("other",) if sizes else every)
-    categories = settings["categories"]
+    ablation, categories = settings["ablation"], settings["categories"]
+    kinds = kinds or tuple(kind for kind in KINDS if kind != "right" or not ablation)
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     network, about = None, None
     if "network" in kinds:
         network, about = view_aligned_network(default_checkpoint())
-    scales = SCALES if sizes else dict(list(SCALES.items())[:1])
     views, seed = settings["views"], settings["seed"]
-    plain = CaseBuilder(meshes, split, views, *SCALES["64 px"], seed, network, about)
-    builders = {
-        name: replace(plain, size=size, points=points) for name, (size, points) in scales.items()
-    }
-    variants = {kind: with_prior(variants_of(kind, ablation), str(prior)) for kind in kinds}
+    builder = CaseBuilder(meshes, split, views, SIZE, COUNT, seed, network, about)
+    variants = with_prior(ABLATION if ablation else points, str(prior))
     settings |= {"categories": list(categories), "kinds": list(kinds)}
     settings |= {"shapes": [shape.name for shape in shapes]}
     settings["network"] = weights_hash(network) if network else None
     settings |= {"prior": prior.name, "prior_weights": prior_hash(prior)}
-    settings["variants"] = {kind: list(of_kind) for kind, of_kind in variants.items()}
+    settings["variants"] = list(variants)
 
-    def refine_group(shared: Record, kind: str, group: list[Shape]) -> Cases:
-        builder = builders[shared.get("scale", "64 px")]
+    def refine_group(kind: str, group: list[Shape]) -> Cases:
         cases = [case for shape in group for case in builder.cases(shape, kind)]
-        rows = refine_cases(cases, variants[kind], network)
-        return [{**({"scale": shared["scale"]} if sizes else {}), **row} for row in rows]
+        return refine_cases(cases, variants)
 
     jobs, at_once = [], max(1, CASES_A_CALL // views)
-    for scale, category in product(scales, categories):
+    for category in categories:
         members = [shape for shape in shapes if shape.category == category]
         for kind, start in product(kinds_of(category, kinds), range(0, len(members), at_once)):
             group = members[start : start + at_once]
             shared = {"kind": kind, "shape": group[0].name}
-            shared |= {"scale": scale} if sizes else {}
-            jobs.append((shared, partial(refine_group, shared, kind, group)))
-    default = variants[kinds[0]][DEFAULT]
-    extremes = partial(_extremes, builder=plain, shapes=shapes, variant=default)
+            jobs.append((shared, partial(refine_group, kind, group)))
+    extremes = partial(_extremes, builder=builder, shapes=shapes, variant=variants[DEFAULT])
     return Plan(settings, jobs, finish=pictures_at(pictures, progress.overwrite, extremes))
 
 
-def refine_cases(
-    cases: list[Case], variants: dict[str, Variant], network: BaseNetwork | None
-) -> Cases:
+def refine_cases(cases: list[Case], variants: Mapping[str, Variant]) -> Cases:
     """Refine cases of one kind and category with every variant."""
     records: Cases = []
     for case in cases:
@@ -131,7 +113,7 @@ def refine_cases(
         bound = {} if case.kind == "right" else rounded({"bound": across_the_view(case)})
         records.append({**case.names, "before": before, **bound, "variants": {}})
     for name, variant in variants.items():
-        results = refined(cases, variant, network)
+        results = refined(cases, variant)
         for case, record, result in zip(cases, records, results, strict=True):
             ious = {"iou_before": result.fit.iou_before, "iou": result.fit.iou_after}
             record["variants"][name] = rounded({**_distances(result.points, case), **ious})
@@ -148,11 +130,10 @@ def _extremes(
 ) -> list[tuple[str, Case, Array]]:
     """(title, case, points) of the worst and the median case of each category, refined once more.
 
-    They are of the first kind in ``record`` and of the plain scale; ``variant`` is the default.
+    They are of the first kind in ``record``; ``variant`` is the default.
     """
     by_name = {shape.name: shape for shape in shapes}
-    cases = [case for case in record["cases"] if case.get("scale", "64 px") == "64 px"]
-    kind, cases_of_kind = next(iter(grouped(cases, "kind").items()))
+    kind, cases_of_kind = next(iter(grouped(record["cases"], "kind").items()))
     rows = []
     for category, cases in grouped(cases_of_kind, "category").items():
         ratios = ratios_of(cases, DEFAULT)
@@ -161,20 +142,18 @@ def _extremes(
         for place, name in {order[len(order) // 2]: "median", order[0]: "worst"}.items():
             shape = by_name[cases[place]["shape"]]
             case = builder.cases(shape, kind)[cases[place]["view"]]
-            result = alone(case, variant, builder.network)
+            result = alone(case, variant, None)
             title = f"{category}, {name}: {ratios[place]:.2f}, {shape.name.partition('/')[2][:16]}"
             rows.append((title, case, result.points))
     return rows
 
 
 def conclude(cases: Cases) -> Record:
-    """{"summary": {kind or scale: {category: {"cases", "before", "variants"}}}, "claims"}.
+    """{"summary": {kind: {category: {"cases", "before", "variants"}}}, "claims"}.
 
     A category has a "bound_ratio" too, mean bound over mean before, where its cases have a bound.
-    An ablation and a comparison of scales make no claims.
+    An ablation makes no claims.
     """
-    if "scale" in cases[0]:
-        return {"summary": summarised(cases, ("scale", "category"), _means), "claims": []}
     summary = summarised(cases, ("kind", "category"), _means)
     ablation = TWO_MASKS not in cases[0]["variants"]
     return {"summary": summary, "claims": [] if ablation else claims(cases)}
@@ -216,7 +195,7 @@ LAST_ROWS = ("bound", "floor", "start, Chamfer x1000", "cases")
 
 
 def _of_categories(summary: Record) -> Table:
-    """A column for each kind or scale."""
+    """A column for each kind."""
     rows = []
     for category in dict.fromkeys(category for of_kind in summary.values() for category in of_kind):
         groups = {kind: of_kind.get(category) for kind, of_kind in summary.items()}
@@ -244,10 +223,9 @@ def _cells(group: Record) -> dict[str, str]:
 
 
 def draw(path: Path, record: Record, overwrite: bool = False) -> None:
-    """Ratios of all cases, a row of panels for each kind or scale."""
-    key = "scale" if record["settings"].get("sizes") else "kind"
+    """Ratios of all cases, a row of panels for each kind."""
     grid: list[list[Panel]] = []
-    for name, group in grouped(record["cases"], key).items():
+    for name, group in grouped(record["cases"], "kind").items():
         panels = []
         for category, cases in grouped(group, "category").items():
             rows = {variant: ratios_of(cases, variant) for variant in cases[0]["variants"]}
@@ -256,14 +234,13 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
     draw_ratios(path, grid, overwrite)
 
 
-MODE_PARTS = ("network modes, paper", "network modes, best")
 STUDY = Study(
     name="accuracy",
     about="Kinds of start: another shape's cloud, about as wrong as a trained network's (other); "
     "the same, where clouds and cameras are turned together at random (turned); another shape's "
     "close to the truth (near); the first with an object that the border truncates (cut); the "
     "truth sampled again (right); the network's prediction (network).",
-    parts=("pictures", "points, paper", "points, best", *MODE_PARTS),
+    parts=("pictures", "points, paper", "points, best", "network modes, paper"),
     tables=tables,
     draw=draw,
     reading="Two questions: how much of the error does a refinement remove, and how often does it "
@@ -279,7 +256,6 @@ STUDY = Study(
         options.views(2),
         options.PRIOR,
         Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
-        Option("--sizes", f"Compare {'; '.join(SCALES)}.  Kind other alone.", bool, False),
         options.pictures("the worst and the median case of each category"),
     ),
     plan=plan,

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..study import Cases, Record, claim
 from .cases import LEVELS
-from .refining import COMBINED, DEFAULT, MASKS, NETWORK_MODES, NO_SYMMETRY, PAPER, TWO_MASKS
+from .refining import DEFAULT, MASKS, NO_SYMMETRY, PAPER, TWO_MASKS
 from .summary import grouped, interval, ratio_of_means, ratios_of
 
 ALL = "all"
@@ -30,8 +30,6 @@ NEAR_ENOUGH = 1.5
 WORSE_SHARE, WORST = 0.02, 1.05
 # The share of all cases of the default preset that may have a ratio over `WORST`.
 CLEARLY_WORSE_SHARE = 0.01
-# Aims of the network modes: gain over the paper's settings, and mean ratio of the best combination.
-NETWORK_TIMES, NETWORK_BEST = 2.0, 0.75
 
 
 def claims(cases: Cases) -> list[Record]:
@@ -55,11 +53,6 @@ def claims(cases: Cases) -> list[Record]:
         one_mask = np.concatenate([ratios_of(group, DEFAULT) for group in starts.values()])
         what = "points mode, all starts, with one, two and four masks"
         answers.append(_rarely_worse(what, groups, float((one_mask > 1.0).mean())))
-    if "network" in kinds:
-        names = (*(f"{mode}, {DEFAULT}" for mode in NETWORK_MODES), *COMBINED)
-        groups = {name: ratios_of(kinds["network"], name) for name in names}
-        answers.append(_rarely_worse("network modes, and points mode after them", groups))
-        answers += _network(kinds["network"])
     return answers
 
 
@@ -136,34 +129,3 @@ def _rarely_clearly_worse(kind: str, cases: Cases, limit: float) -> Record:
     text = f"{kind}: {DEFAULT}: under {100.0 * limit:g} % of cases become worse by over "
     found = f"{100.0 * share:.1f} % of {len(ratios)}, worst {ratios.max():.3f}"
     return claim(f"{text}{100.0 * (WORST - 1.0):.0f} %", share < limit, found)
-
-
-def _network(cases: Cases) -> list[Record]:
-    """Relative gains from the network's prediction.
-
-    The paper has no latent variant; ours is compared with the best of the paper's.
-    """
-    ratio = {name: float(ratios_of(cases, name).mean()) for name in cases[0]["variants"]}
-    papers = [mode for mode in NETWORK_MODES if mode != "latent"]
-    theirs: dict[str, float] = {
-        "points": ratio[PAPER],
-        **{mode: ratio[f"{mode}, {PAPER}"] for mode in papers},
-    }
-    theirs["latent"] = min(theirs.values())
-    ours: dict[str, float] = {
-        "points": ratio[DEFAULT],
-        **{m: ratio[f"{m}, {DEFAULT}"] for m in NETWORK_MODES},
-    }
-    holds = all(
-        1.0 - ours[mode] >= NETWORK_TIMES * (1.0 - theirs[mode]) and ours[mode] < 1.0
-        for mode in ours
-    )
-    text = "from the network's prediction every variant gains at least twice what the paper's "
-    figures = ", ".join(f"{mode} {theirs[mode]:.3f} to {ours[mode]:.3f}" for mode in ours)
-    modes = (f"{mode}, {DEFAULT}" for mode in NETWORK_MODES)
-    best = min((DEFAULT, NO_SYMMETRY, *COMBINED, *modes), key=lambda name: ratio[name])
-    best_text = f"the best combination comes to {NETWORK_BEST} or less"
-    return [
-        claim(f"{text}settings do", holds, figures),
-        claim(best_text, ratio[best] <= NETWORK_BEST, f"{best} {ratio[best]:.3f}"),
-    ]

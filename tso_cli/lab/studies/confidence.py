@@ -362,7 +362,7 @@ STUDY = Study(
         options.MESHES,
         options.SPLIT,
         options.part("validation"),
-        Option("--unseen", "Folder of meshes in no list, with index.csv.", Path),
+        options.UNSEEN,
         Option("--per", "Scenes for each trouble and start.", int, SCENES, least=1),
         options.SEED,
         Option("--fit", f"Fit the model first and write it here; in use is {MODEL.name}.", Path),

@@ -107,7 +107,7 @@ QUESTIONS = {
     ),
     "maps": Question(
         "Depth maps that hold something else",
-        ("other", "near"),
+        ("other",),
         evidence_maps.rows(),
         THREE,
         {NAMED: evidence_maps.named, IGNORED: evidence_maps.ignored},

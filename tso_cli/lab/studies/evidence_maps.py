@@ -13,7 +13,6 @@ from ...diagnosis.depth_map import Held
 from ...diagnosis.findings import OF_DEPTH_MAPS
 from ...geometry.arrays import Array
 from ...geometry.camera import intrinsics
-from ...geometry.depth_kind import FITTED, DepthKind
 from ...geometry.view import View
 from ...refinement import RefineResult
 from ...render import RayScene, fitting_distance, render_view
@@ -45,18 +44,14 @@ MAPS = {
 
 
 def rows() -> dict[str, tuple[Alter, Variant]]:
-    """The mask, the right map, and each wrong map used as it is, tested, and used as its kind."""
+    """The mask, the right map, and each wrong map, which is tested."""
     table: dict[str, Alter] = {}
     for fov in (None, *FIELDS_OF_VIEW):
         seen = f", {fov} degrees" if fov else ""
         table[f"mask{seen}"] = partial(with_fov, fov=fov) if fov else unaltered
         table[f"right map{seen}"] = partial(with_map, holds=DEPTH, fov=fov)
-    for name, (holds, called, fov) in MAPS.items():
-        kinds: dict[str, DepthKind] = {"used as it is": "z", "tested": "auto"}
-        if called in (*FITTED, "ray"):
-            kinds["used as its kind"] = called
-        for how, kind in kinds.items():
-            table[f"{name}; {how}"] = partial(with_map, holds=holds, kind=kind, fov=fov)
+    for name, (holds, _, fov) in MAPS.items():
+        table[name] = partial(with_map, holds=holds, fov=fov)
     return {label: (alter, Variant()) for label, alter in table.items()}
 
 
@@ -67,7 +62,7 @@ def ignored(result: RefineResult, label: str) -> float:
 
 def named(result: RefineResult, label: str) -> float:
     """1 if it was said what the map of a row holds."""
-    wrong = MAPS.get(label.split(";")[0])
+    wrong = MAPS.get(label)
     return float(wrong is not None and f"depth-{wrong.called}" in _wrong(result))
 
 
@@ -87,14 +82,9 @@ def with_fov(case: Case, truth: Truth, rng: Rng, fov: float) -> Case:
 
 
 def with_map(
-    case: Case,
-    truth: Truth,
-    rng: Rng,
-    holds: str,
-    kind: DepthKind = "auto",
-    fov: float | None = None,
+    case: Case, truth: Truth, rng: Rng, holds: str, fov: float | None = None
 ) -> Case | None:
-    """The first view with a map that ``holds`` something and is taken for ``kind``.
+    """The first view with a map that ``holds`` something, of a kind that tso has to find out.
 
     None where the map is unknown on the whole mask.
     """
@@ -104,7 +94,7 @@ def with_map(
     values = np.where(np.isfinite(values) & (values > 0.0), values, 0.0)
     if not values[view.inside].any():
         return None
-    return replace(seen, views=(replace(view, depth=values, depth_kind=kind),))
+    return replace(seen, views=(replace(view, depth=values, depth_kind="auto"),))
 
 
 def _held(view: View, holds: str, truth: Truth, rng: Rng) -> Array:

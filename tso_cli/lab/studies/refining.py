@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import Final
 
 from ...errors import TsoError
 from ...io.shipped import NO_PRIOR
 from ...network.model import BaseNetwork
-from ...optimisation.presets import Mode, Preset
+from ...optimisation.presets import Mode
 from ...refinement import RefineConfig, RefineResult, refine, refine_batch
 from ..interrupts import uninterrupted
 from .cases import Case
@@ -34,7 +33,7 @@ DEFAULT: Final = "best"
 NO_SYMMETRY, TWO_MASKS, FOUR_MASKS = "best, no symmetry", "best, two masks", "best, four masks"
 MASKS = (DEFAULT, TWO_MASKS, FOUR_MASKS)
 """The default preset with one, two and four masks."""
-# The paper's method, and the network modes, leave nothing as it was.
+# The paper's method leaves nothing as it was.
 POINTS = {
     PAPER: Variant(RefineConfig(preset="paper", accept_doubtful=True)),
     DEFAULT: Variant(),
@@ -42,17 +41,11 @@ POINTS = {
     TWO_MASKS: Variant(masks=2),
     FOUR_MASKS: Variant(masks=4),
 }
-NETWORK_MODES: tuple[Mode, ...] = ("encoder", "encoder-decoder", "latent")
-BOTH: tuple[Preset, ...] = (PAPER, DEFAULT)
-ALONE = {
-    f"{mode}, {preset}": Variant(RefineConfig(mode, preset=preset, accept_doubtful=True))
-    for mode, preset in product(NETWORK_MODES, BOTH)
-}
+FIRST_MODES: tuple[Mode, ...] = ("latent", "encoder-decoder")
 COMBINED = {
     f"{mode}, then points": Variant(RefineConfig(mode, accept_doubtful=True), then=RefineConfig())
-    for mode in ("latent", "encoder-decoder")
+    for mode in FIRST_MODES
 }
-NETWORK = {**POINTS, **ALONE, **COMBINED}
 ABLATION = {
     PAPER: POINTS[PAPER],
     DEFAULT: POINTS[DEFAULT],
@@ -61,13 +54,6 @@ ABLATION = {
     "one step": Variant(RefineConfig(steps=1)),
 }
 """The default preset with one ingredient changed in each row, below the paper's and itself."""
-
-
-def variants_of(kind: str, ablation: bool) -> dict[str, Variant]:
-    """The variants that cases of that kind are refined with."""
-    if ablation:
-        return ABLATION
-    return NETWORK if kind == "network" else POINTS
 
 
 def with_prior(variants: Mapping[str, Variant], prior: str) -> dict[str, Variant]:
