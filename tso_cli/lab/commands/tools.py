@@ -51,15 +51,12 @@ def records(
     settings. Cheap ones come first, and those that measure time last, each alone. The same command
     again goes on where it was interrupted.
     """
-    from ...refinement.api import compile_loops
     from .renewal import all_due, make, needs
 
     output.mkdir(parents=True, exist_ok=True)
     due = all_due(output, names)
     given = {"--meshes": meshes, "--unseen": unseen, "--photos": photos}
     needs(due, given)
-    if due:
-        compile_loops()
     failed = make(due, output, given, jobs or cores())
     for one in due:
         if one.kept.name not in failed:
