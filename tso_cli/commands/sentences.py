@@ -247,6 +247,8 @@ def _of_course(result: RefineResult) -> str | None:
         if result.move.explains or result.trust.reason == "unsure-place":
             return None
         return f"it moved as one, which does not explain the misfit: {reason}"
+    if fit.stop_reason == "fits":
+        return None
     if reason and not _withheld(fit):
         what = "nothing to do" if fit.stop_reason == "nothing_to_do" else "nothing moved"
         return f"{what}: {reason}; the cloud is as it was"

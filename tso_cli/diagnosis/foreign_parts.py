@@ -30,7 +30,7 @@ LEAST_SHARE = 0.01
 # Around a part the contour says nothing either, up to this many times `APART`.
 AROUND = 2.0
 # The parts leave at least this share of the contours around the cloud: less would fit any cloud.
-LEAST_KEPT = 0.5
+LEAST_KEPT = 0.4
 # Points that are further out than this share, at both ends of both axes, do not count for the box.
 TAIL = 0.005
 

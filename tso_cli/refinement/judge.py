@@ -161,7 +161,7 @@ def _ending(
     kept: StopReason | None = None if improved else "not_improved"
     if kept and diagnosis.fits:
         kept = "fits"
-    if settings.smooth and problem.masks_alone:
+    elif settings.smooth and problem.masks_alone:
         kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights.loss) or kept
     start = cloud.moved(np.zeros_like(displacements))
     if kept:
