@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from tests.scenes import about, example
+from tests.scenes import about, example, small
 from tso_cli import RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
-from tso_cli.geometry.resampling import area_resize
 from tso_cli.pose.causes import find_move
 from tso_cli.pose.placement import ASPECT, FOCAL, GROWTH, PRINCIPAL
 from tso_cli.refinement.scene import as_scene
@@ -115,17 +114,6 @@ def test_who_asks_for_the_shape_alone_gets_no_camera_named():
 # Small masks, whose outline is a pixel too far out
 
 
-def _small(shape, pixels: int, grown: int = 0) -> View:
-    """A shipped shape of so many pixels, whose mask is ``grown`` by pixels on all sides."""
-    left, top, right, bottom = shape.view.pixels_of_object
-    side = round(shape.camera.width * pixels / max(right - left, bottom - top))
-    shares, _ = area_resize(shape.mask, (-0.5, -0.5, 255.5, 255.5), side, side)
-    mask = shares > 0.5
-    if grown:
-        mask = binary_dilation(mask, iterations=grown)
-    return View(np.float32(mask), shape.camera.resized(side, side), name="mask.png")
-
-
 def _stretched(shape, axis: int, factor: float) -> np.ndarray:
     return shape.target * np.where(np.arange(3) == axis, factor, 1.0)
 
@@ -142,7 +130,7 @@ def _growth(points, view) -> float:
 @STRETCHES
 @pytest.mark.parametrize("shape", [SHAPES["chair"], SHAPES["airplane"]], ids=["chair", "airplane"])
 def test_the_growth_of_a_small_mask_is_told_from_a_stretch(shape, axis, factor):
-    growth = _growth(_stretched(shape, axis, factor), _small(shape, 48, grown=1))
+    growth = _growth(_stretched(shape, axis, factor), small(shape, 48, grown=1))
     assert growth == pytest.approx(1.0, abs=0.35)
 
 
@@ -154,7 +142,7 @@ def test_the_growth_of_a_small_mask_is_told_from_a_stretch(shape, axis, factor):
 def test_of_a_growth_that_looks_like_a_stretch_a_part_is_found(name, pixels, axis, factor):
     """A compact shape that is larger on all sides, or one of few pixels, has no thin part."""
     shape = SHAPES[name]
-    growth = _growth(_stretched(shape, axis, factor), _small(shape, pixels, grown=1))
+    growth = _growth(_stretched(shape, axis, factor), small(shape, pixels, grown=1))
     assert 0.15 < growth < 1.0
 
 
@@ -163,7 +151,7 @@ def test_of_a_growth_that_looks_like_a_stretch_a_part_is_found(name, pixels, axi
 @STRETCHES
 @pytest.mark.parametrize("pixels", [24, 48, 128])
 def test_a_stretch_before_an_exact_mask_is_hardly_taken_for_a_growth(shape, axis, factor, pixels):
-    view, points = _small(shape, pixels), _stretched(shape, axis, factor)
+    view, points = small(shape, pixels), _stretched(shape, axis, factor)
     growth = _growth(points, view)
     assert abs(growth) < 0.3
     if pixels == 128:
@@ -177,7 +165,7 @@ def test_a_stretch_before_an_exact_mask_is_hardly_taken_for_a_growth(shape, axis
 )
 def test_a_shape_gets_better_if_a_grown_mask_is_corrected(name, pixels, monkeypatch):
     shape = SHAPES[name]
-    points, view = _stretched(shape, 0, 1.12), _small(shape, pixels, grown=1)
+    points, view = _stretched(shape, 0, 1.12), small(shape, pixels, grown=1)
     corrected = refine(points, view)
     monkeypatch.setattr(
         "tso_cli.refinement.run.find_move", lambda *given: replace(find_move(*given), growth=0.0)
@@ -189,7 +177,7 @@ def test_a_shape_gets_better_if_a_grown_mask_is_corrected(name, pixels, monkeypa
 
 def test_a_correction_by_half_a_pixel_or_more_is_a_finding():
     chair = SHAPES["chair"]
-    result = refine(_stretched(chair, 0, 1.12), _small(chair, 48, grown=1))
+    result = refine(_stretched(chair, 0, 1.12), small(chair, 48, grown=1))
     (finding,) = (one for one in result.findings if one.name == "outline-corrected")
     assert finding.values["how"] == "large"
     assert finding.values["pixels"] == pytest.approx(1.0, abs=0.35)
