@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from tests.corruption import assert_one_line
 from tests.scenes import block, example
 from tso_cli import Camera, InputError, View
-from tso_cli.geometry.outline import LEAST_SHARE, shrunk
+from tso_cli.geometry.outline import LEAST_SHARE, MOST_SHARE, shrunk
 from tso_cli.geometry.view import OUTLINE_ERROR
 
 CAMERA = Camera.canonical(64, 64)
@@ -66,6 +66,12 @@ def test_a_change_goes_on_at_the_border_of_the_picture(pixels):
 def test_a_line_of_one_pixel_does_not_vanish(pixels):
     line = shrunk(_view(block(np.s_[30:31, 10:50])), pixels)
     assert (line.mask > 0.5).any()
+
+
+@pytest.mark.parametrize("pixels", [15.0, 20.0, 50.0])
+def test_of_a_mask_that_is_shrunk_by_about_all_of_it_the_middle_stays(pixels):
+    left = RADIUS * (1.0 - MOST_SHARE)
+    assert shrunk(DISC, pixels).mask.sum() == pytest.approx(np.pi * left**2, rel=0.1)
 
 
 @pytest.mark.parametrize("pixels", [1.0, -1.0])
