@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import minimum_filter
+from scipy.ndimage import binary_dilation, minimum_filter
 from scipy.spatial.transform import Rotation
 
 from tso_cli import Camera, RefineConfig, View
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.resampling import area_resize
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.masks import read_mask
@@ -83,6 +84,18 @@ def about(axis: str, degrees: float) -> np.ndarray:
 def turned(camera: Camera, degrees: float) -> Camera:
     """The camera that sees an object as ``camera`` sees it turned about the vertical axis."""
     return replace(camera, R=camera.R @ about("y", degrees))
+
+
+def small(scene: Example, pixels: int, grown: int = 0) -> View:
+    """A view whose object is ``pixels`` large, and its sharp mask ``grown`` on all sides."""
+    left, top, right, bottom = scene.view.pixels_of_object
+    height, width = scene.mask.shape
+    side = round(width * pixels / max(right - left, bottom - top))
+    shares, _ = area_resize(scene.mask, (-0.5, -0.5, width - 0.5, height - 0.5), side, side)
+    mask = shares > 0.5
+    if grown:
+        mask = binary_dilation(mask, iterations=grown)
+    return View(np.float32(mask), scene.camera.resized(side, side), name="mask.png")
 
 
 def in_photo(view: View, times: int, left: int, top: int) -> View:

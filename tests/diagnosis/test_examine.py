@@ -92,7 +92,7 @@ def test_a_weak_hypothesis_is_not_suspicious():
     assert diagnosis.findings == (box, note)
 
 
-def test_a_box_hides_no_occluder_of_another_view():
+def test_a_box_is_found_beside_a_mask_that_lacks_a_part_of_the_object():
     views = around(3)
     rows = np.flatnonzero(views[2].inside.any(1))
     hidden = views[2].mask.copy()
@@ -112,7 +112,7 @@ def test_no_cloud_follows_a_box_in_place_of_its_mask(name):
 
 
 def test_a_box_among_masks_hides_no_weak_mistake_of_the_others():
-    """Short optimisations compare the other masks, so that these do not outvote the box."""
+    """The contours of the other masks are compared, so that these do not outvote the box."""
     chair = example("chair")
     cameras = [turned(chair.camera, 90.0 * i) for i in range(4)]
     views = [seen(chair.target, camera) for camera in cameras]

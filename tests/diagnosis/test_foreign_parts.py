@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from tests.scenes import example
-from tso_cli import refine
+from tso_cli import RefineConfig, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.diagnosis.foreign_parts import parts_that_explain
+from tso_cli.pose.causes import find_move
+from tso_cli.refinement.run import check
+from tso_cli.refinement.scene import as_scene
 
 CHAIR = example("chair")
 VIEW = CHAIR.view
@@ -25,19 +28,26 @@ def _painted(rows, columns, value):
 
 ARM = _painted(slice(120, 140), slice(RIGHT - 16, 240), 1.0)
 STAND = _painted(slice(BOTTOM - 40, BOTTOM + 6), slice(LEFT - 20, RIGHT + 20), 1.0)
+PERSON = _painted(slice(30, 256), slice(RIGHT - 20, 240), 1.0)
 BITE = _painted(slice(0, BOTTOM - 60), slice(RIGHT - 40, 256), 0.0)
 
 
-@pytest.mark.parametrize("view", [ARM, STAND, BITE], ids=["arm", "stand", "bite"])
+@pytest.mark.parametrize("view", [ARM, STAND, PERSON, BITE], ids=["arm", "stand", "person", "bite"])
 def test_a_right_cloud_stays_before_a_mask_with_something_else(view):
     result = refine(CHAIR.target, view)
-    assert (result.trust.verdict, result.fit.stop_reason) == ("unchanged", "fits")
+    assert (result.trust.verdict, result.fit.stop_reason) == ("left", "fits")
     np.testing.assert_array_equal(result.points, CHAIR.target)
+
+
+def test_a_check_names_the_part_that_a_refinement_names():
+    diagnosis, *_ = check(as_scene(CHAIR.target, PERSON), RefineConfig().settings(1))
+    assert diagnosis.findings == refine(CHAIR.target, PERSON).findings
+    assert "foreign-part" in [finding.name for finding in diagnosis.findings]
 
 
 def test_the_pixels_that_are_left_out_are_those_of_the_part():
     body = Cloud(CHAIR.target, "points").controlled().body
-    (part,) = parts_that_explain(body, [ARM]).values()
+    (part,) = parts_that_explain(body, [ARM], find_move(body, [ARM])).values()
     assert part.ignored[124:136, RIGHT + 16 : 240].all()
     assert part.ignored[VIEW.mask > 0.5].mean() < 0.1
     assert part.in_mask > part.in_cloud == 0.0
@@ -56,4 +66,15 @@ def test_what_another_shape_lacks_is_no_foreign_part():
     for name in ("chair", "car", "airplane"):
         scene = example(name)
         body = Cloud(scene.points, "points").controlled().body
-        assert parts_that_explain(body, [scene.view]) == {}
+        move = find_move(body, [scene.view])
+        assert parts_that_explain(body, [scene.view], move) == {}
+
+
+@pytest.mark.parametrize("taller", [1.3, 1.5])
+def test_what_a_cloud_of_other_proportions_explains_too_is_no_foreign_part(taller):
+    """The back of a chair that is too tall is above the mask, and the rest of it fits."""
+    body = Cloud(CHAIR.target * [1.0, taller, 1.0], "points").controlled().body
+    move = find_move(body, [VIEW])
+    assert move.stretched < 0.05
+    assert parts_that_explain(body, [VIEW], replace(move, stretched=np.inf))
+    assert parts_that_explain(body, [VIEW], move) == {}

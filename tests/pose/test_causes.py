@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from tests.scenes import about, example
+from tests.scenes import about, example, small
 from tso_cli import RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.pose.causes import find_move
 from tso_cli.pose.placement import ASPECT, FOCAL, GROWTH, PRINCIPAL
+from tso_cli.refinement.scene import as_scene
 
 SHAPES = {name: example(name) for name in ("chair", "car", "airplane")}
 EVERY_SHAPE = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
@@ -91,7 +92,7 @@ def test_a_right_cloud_in_its_place_fits_and_nothing_is_done(shape):
     view = _view(shape)
     assert find_move(Cloud(shape.target, "points").controlled().body, [view]).fits
     result = refine(shape.target, view)
-    assert (result.trust.verdict, result.fit.stop_reason) == ("unchanged", "fits")
+    assert (result.trust.verdict, result.fit.stop_reason) == ("left", "fits")
     np.testing.assert_array_equal(result.points, shape.target)
 
 
@@ -108,3 +109,76 @@ def test_who_asks_for_the_shape_alone_gets_no_camera_named():
     chair = SHAPES["chair"]
     result = refine(chair.target, _view(chair, _zoomed), config=RefineConfig(move="shape"))
     assert "focal-length" not in [finding.name for finding in result.findings]
+
+
+# Small masks, whose outline is a pixel too far out
+
+
+def _stretched(shape, axis: int, factor: float) -> np.ndarray:
+    return shape.target * np.where(np.arange(3) == axis, factor, 1.0)
+
+
+STRETCHES = pytest.mark.parametrize("factor", [1.1, 1.15])
+AXES = pytest.mark.parametrize("axis", range(3), ids="xyz")
+
+
+def _growth(points, view) -> float:
+    return find_move(Cloud(points, "points").controlled().body, [view]).growth
+
+
+@AXES
+@STRETCHES
+@pytest.mark.parametrize("shape", [SHAPES["chair"], SHAPES["airplane"]], ids=["chair", "airplane"])
+def test_the_growth_of_a_small_mask_is_told_from_a_stretch(shape, axis, factor):
+    growth = _growth(_stretched(shape, axis, factor), small(shape, 48, grown=1))
+    assert growth == pytest.approx(1.0, abs=0.35)
+
+
+@AXES
+@STRETCHES
+@pytest.mark.parametrize(
+    ("name", "pixels"), [("car", 48), ("chair", 24), ("airplane", 24)], ids=str
+)
+def test_of_a_growth_that_looks_like_a_stretch_a_part_is_found(name, pixels, axis, factor):
+    """A compact shape that is larger on all sides, or one of few pixels, has no thin part."""
+    shape = SHAPES[name]
+    growth = _growth(_stretched(shape, axis, factor), small(shape, pixels, grown=1))
+    assert 0.15 < growth < 1.0
+
+
+@EVERY_SHAPE
+@AXES
+@STRETCHES
+@pytest.mark.parametrize("pixels", [24, 48, 128])
+def test_a_stretch_before_an_exact_mask_is_hardly_taken_for_a_growth(shape, axis, factor, pixels):
+    view, points = small(shape, pixels), _stretched(shape, axis, factor)
+    growth = _growth(points, view)
+    assert abs(growth) < 0.3
+    if pixels == 128:
+        assert as_scene(points, view).with_outlines(growth).views == (view,)
+
+
+@pytest.mark.parametrize(
+    ("name", "pixels"),
+    [("chair", 24), ("airplane", 24), ("chair", 48), ("car", 48), ("airplane", 48)],
+    ids=str,
+)
+def test_a_shape_gets_better_if_a_grown_mask_is_corrected(name, pixels, monkeypatch):
+    shape = SHAPES[name]
+    points, view = _stretched(shape, 0, 1.12), small(shape, pixels, grown=1)
+    corrected = refine(points, view)
+    monkeypatch.setattr(
+        "tso_cli.refinement.run.find_move", lambda *given: replace(find_move(*given), growth=0.0)
+    )
+    as_given = refine(points, view)
+    assert shape.error(corrected.points) < 0.97 * shape.error(as_given.points)
+    assert "outline-corrected" not in [finding.name for finding in as_given.findings]
+
+
+def test_a_correction_by_half_a_pixel_or_more_is_a_finding():
+    chair = SHAPES["chair"]
+    result = refine(_stretched(chair, 0, 1.12), small(chair, 48, grown=1))
+    (finding,) = (one for one in result.findings if one.name == "outline-corrected")
+    assert finding.values["how"] == "large"
+    assert finding.values["pixels"] == pytest.approx(1.0, abs=0.35)
+    assert not finding.suspicious

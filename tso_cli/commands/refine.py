@@ -194,6 +194,13 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @options.label
 @options.mask_index
 @click.option(
+    "--mask-error",
+    type=float,
+    metavar="PX",
+    help="How exactly the masks show where the outline is, a standard deviation in pixels.  "
+    "[default: by their softness, at least 0.5]",
+)
+@click.option(
     "--ignore",
     type=PATH,
     multiple=True,

@@ -53,6 +53,7 @@ class InputOptions:
     masks: tuple[Path, ...]
     label: str | None
     mask_index: int | None
+    mask_error: float | None
     camera: Path | None
     camera_format: str | None
     object_id: int | None
@@ -99,6 +100,11 @@ class InputOptions:
             for name in ("intrinsics", "focal", "fov"):
                 if getattr(self, name) is not None:
                     raise InputError(f"--{name} is for --mode points, {places}")
+            if self.mask_error is not None:
+                raise InputError(
+                    f"--mask-error is for --mode points, found --mode {self.mode}, which compares "
+                    "no contours"
+                )
             if self.assume:
                 raise InputError(f"--assume is for --mode points, {places}")
             return
@@ -123,6 +129,8 @@ class InputOptions:
             )
 
     def _check_evidence(self) -> None:
+        if self.mask_error is not None and not 0.0 < self.mask_error < math.inf:
+            raise InputError(f"--mask-error {self.mask_error:g}, expected pixels, more than 0")
         for name, files in (("--depth", self.depth), ("--image", self.image)):
             if files and (self.mode, self.preset) != ("points", "best"):
                 raise InputError(
@@ -212,6 +220,7 @@ class RefineInputs(InputOptions):
             self.masks,
             None if self.fit else self.camera,
             choice=MaskChoice(self.label, self.mask_index),
+            mask_error=self.mask_error,
             camera_format=self.camera_format,
             object_id=self.object_id,
             intrinsics=self.intrinsics,

@@ -51,7 +51,7 @@ class ViewFiles:
     choice : which object of a mask file is meant.
     any_size : images may be larger or smaller than their masks, and are resized.
     ignore : images whose foreground marks unknown pixels. depth_scale : as in `read_depth`.
-    depth_kind : as in `View`.
+    depth_kind, mask_error : as in `View`.
     """
 
     masks: Sequence[Path]
@@ -67,6 +67,7 @@ class ViewFiles:
     depth_kind: DepthKind = "auto"
     image: Sequence[Path] = ()
     choice: MaskChoice = MaskChoice()
+    mask_error: float | None = None
     any_size: bool = False
     y_up: bool = False
 
@@ -145,7 +146,7 @@ def load_views(files: ViewFiles) -> tuple[list[View], list[CameraOrigin]]:
     for mask, ignored, camera, origin in zip(
         files.masks, ignore, partial_cameras, origins, strict=True
     ):
-        view, scaled = _read_view(mask, camera, origin, ignored, files.choice)
+        view, scaled = _read_view(mask, camera, origin, ignored, files)
         views.append(view)
         found.append(replace(origin, notes=(*origin.notes, *scaled)))
     stored = [camera is not None for camera in partial_cameras]
@@ -184,7 +185,7 @@ def view_without_camera(files: ViewFiles) -> tuple[View, KnownFocal]:
     """
     (mask,) = files.masks
     (ignore,) = files.one_each("ignore", "ignore maps", files.ignore)
-    view, _ = _read_view(mask, None, CameraOrigin(None), ignore, files.choice)
+    view, _ = _read_view(mask, None, CameraOrigin(None), ignore, files)
     ((view, _),) = with_depth_and_images([view], files, [False])
     if files.intrinsics is None:
         return _with_focal(view, files)
@@ -300,15 +301,18 @@ def _read_view(
     camera: PartialCamera | None,
     origin: CameraOrigin,
     ignore_file: Path | None,
-    choice: MaskChoice,
+    files: ViewFiles,
 ) -> tuple[View, list[str]]:
     """A mask with its camera, and what was done to the camera's numbers and to the picture."""
 
     def of_camera(size: tuple[int, int]) -> bool:
         return camera is None or camera.size is None or same_shape(camera.size, size)
 
+    def read(upright: bool) -> NDArray[Any]:
+        return read_mask(mask_file, files.choice, upright)
+
     stored = camera is not None
-    mask, notes = _raster(mask_file, lambda up: read_mask(mask_file, choice, up), of_camera, stored)
+    mask, notes = _raster(mask_file, read, of_camera, stored)
     height, width = mask.shape
     known = None
     if ignore_file is not None:
@@ -327,7 +331,8 @@ def _read_view(
         full = camera.camera(origin.file, width, height)
         if camera.size and camera.size != (width, height):
             notes.append(f"K scaled from {camera.size[0]}x{camera.size[1]} to {width}x{height}")
-    return View(mask, full, known, name=str(mask_file)), notes
+    view = View(mask, full, known, name=str(mask_file), mask_error=files.mask_error)
+    return view, notes
 
 
 def _raster(

@@ -46,8 +46,8 @@ def run(
     if move.kind == "nothing":
         # Also with outlines that are corrected.
         given = scene.views
+    diagnosis = _diagnosed(scene, cloud, move, settings, clock)
     with clock.phase("prepare"):
-        diagnosis = _diagnosed(scene, cloud, move, settings)
         if diagnosis.hidden:
             scene = scene.without(diagnosis.hidden)
             pairs = zip(given, scene.views, strict=True)
@@ -80,7 +80,7 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
     move, scene = _moved(scene, cloud, settings, clock)
-    diagnosis = _diagnosed(scene, cloud, move, settings)
+    diagnosis = _diagnosed(scene, cloud, move, settings, clock)
     scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
@@ -156,15 +156,22 @@ def _examined(scene: RefineScene, cloud: ControlledCloud, settings: Settings) ->
 
 
 def _diagnosed(
-    scene: RefineScene, cloud: ControlledCloud, move: Move, settings: Settings
+    scene: RefineScene, cloud: ControlledCloud, move: Move, settings: Settings, clock: Clock
 ) -> Diagnosis:
     """What may be wrong with a scene, after the ``move``."""
-    diagnosis = _examined(scene, cloud, settings)
+    with clock.phase("prepare"):
+        diagnosis = _examined(scene, cloud, settings)
     if move.fits or move.causes:
         # What nearly nothing contradicts needs no weak explanation.
         diagnosis = replace(diagnosis, weak=())
-    diagnosis = verify_hypotheses(diagnosis, cloud.body, scene.read, scene.assumptions)
-    return explained(diagnosis, cloud.body, scene.views, move) if settings.smooth else diagnosis
+    of_scene = cloud.body, scene.read, scene.assumptions
+    diagnosis = clock.attempt(
+        "prepare", partial(verify_hypotheses, diagnosis, *of_scene), diagnosis
+    )
+    if not settings.smooth:
+        return diagnosis
+    find_causes = partial(explained, diagnosis, cloud.body, scene.views, move)
+    return clock.attempt("prepare", find_causes, diagnosis)
 
 
 def _examined_anyhow(scene: RefineScene, cloud: ControlledCloud, settings: Settings) -> Diagnosis:
