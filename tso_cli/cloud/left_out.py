@@ -16,7 +16,7 @@ from ..evaluation.footprint import window_iou
 from ..geometry.arrays import Array, Bits
 from ..geometry.points import bounding_box_normalisation, longest_side, quantile, scattered
 from ..geometry.view import View
-from ..pose.move import FITS, Body
+from ..pose.move import FITS, FITS_NEARLY, Body
 from ..pose.placing import MOST_VIEWS, missed_by
 from ..pose.search import SIDE, some_views
 from ..pose.target import Target
@@ -24,6 +24,9 @@ from ..pose.target import Target
 # A mask leaves out a point at this distance from the nearest cell of the object, in cells or in
 # pixels, whichever are larger. Exact clouds then lose no point.
 APART = 1.5
+# Half of the points that are left out are at least so far away: of a cloud before a camera that is
+# slightly wrong, points along the whole edge are left out.
+FAR = 4.0
 # A smaller share of the points is none: thin parts of exact clouds are missing from coarse masks.
 LEAST_SHARE = 0.005
 # Points by which is decided, and points that are left out by which a plane is searched.
@@ -109,17 +112,21 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
         else:
             with_base = replace(ground, base=True)
             rest = points[~(with_base.holds(points) | left)]
-            if _missed(rest, some) < _missed(above, some):
+            if _missed(rest, some) < min(FITS_NEARLY, _missed(above, some)):
                 ground = with_base
     found = LeftOut(targets, ground)
     rest = points[~found.holds(points)]
-    if longest_side(rest) > 0.0 and _missed(rest, some) < FITS:
+    far = 2 * _left_out(points, targets, FAR).sum() >= left.sum()
+    if far and longest_side(rest) > 0.0 and _missed(rest, some) < FITS:
         return found
     return None if ground is None else LeftOut((), ground)
 
 
-def _left_out(points: Array, targets: Sequence[Target]) -> Bits:
-    """[N], which ``points`` [N, 3] half of the masks leave out, or more, of those that see them."""
+def _left_out(points: Array, targets: Sequence[Target], least: float = APART) -> Bits:
+    """[N], which ``points`` [N, 3] half of the masks leave out, or more, of those that see them.
+
+    Such a point is farther from the mask than ``least``, in cells or pixels.
+    """
     seen, without = np.zeros((2, len(points)), np.int64)
     for target in targets:
         px, _, visible = target.camera.project_visible(points)
@@ -127,7 +134,7 @@ def _left_out(points: Array, targets: Sequence[Target]) -> Bits:
         row, column, within = target.at(px)
         shown = visible & np.where(within, target.known[row, column], not target.truncated)
         apart = np.linalg.norm(target.nearest[row, column] - px, axis=1)
-        outside = apart > APART * max(1.0, target.pixel)
+        outside = apart > least * max(1.0, target.pixel)
         seen += shown
         without += shown & outside
     return np.asarray(2 * without >= np.maximum(seen, 1))

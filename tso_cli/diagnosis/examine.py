@@ -68,8 +68,9 @@ class Diagnosis:
     def unverified(self) -> tuple[Finding, ...]:
         """What the contours verify: weak alternatives, or what explains the whole input."""
         pairs = tuple(finding for finding in self.suspicious if finding.pairs)
-        of_input = tuple(finding for finding in self.of_input if finding.hypotheses)
-        return self.weak or pairs or of_input
+        # Silhouettes may take a stretched object for a turned one.
+        turned = all(any(one.turns for one in finding.hypotheses) for finding in self.of_input)
+        return self.weak or pairs or (self.of_input if turned else ())
 
     @property
     def suspicious(self) -> tuple[Finding, ...]:

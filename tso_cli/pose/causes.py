@@ -16,7 +16,7 @@ from ..geometry.arrays import Array
 from ..geometry.view import View
 from .asked import Asked, Keep, Moved
 from .levenberg import Freedom, improve
-from .move import FITS, Body, Move, unmoved
+from .move import FITS, FITS_NEARLY, Body, Move, unmoved
 from .placement import (
     ASPECT,
     FOCAL,
@@ -52,8 +52,6 @@ FEW_STEPS = 8
 # logarithms, longer sides of the picture. They may explain a misfit, but then the shape is nearly
 # right too.
 LEAST_PIXELS, LEAST_FACTOR, LEAST_SHIFT = 0.75, 0.03, 0.02
-# All exact validation clouds miss less than this, and some of other proportions do.
-FITS_NEARLY = 0.26
 # What of the contours an unknown must explain: with six more unknowns a cloud of a right shape and
 # place misses about six times as much less.
 PRICE = 0.01
