@@ -21,7 +21,7 @@ from tso_cli.diagnosis.trust import (
     RULES,
     Facts,
     Trust,
-    judged,
+    trust_of,
     words_of,
 )
 
@@ -125,8 +125,8 @@ def test_each_rule_says_what_to_think(name):
     changes, expected = ROWS[name]
     facts = replace(SURE, **changes)
     assert [rule.holds(facts) for rule in RULES].index(True) == list(ROWS).index(name)
-    assert judged(facts) == expected
-    assert judged(facts, {"motion: across": 1.0}).features == {"motion: across": 1.0}
+    assert trust_of(facts) == expected
+    assert trust_of(facts, {"motion: across": 1.0}).features == {"motion: across": 1.0}
 
 
 def test_each_rule_has_a_row():
@@ -155,7 +155,7 @@ def test_of_two_rules_that_hold_the_first_decides(first, second):
     assert holds[first]
     assert holds[second]
     expected = ROWS[first][1]
-    trust = judged(facts)
+    trust = trust_of(facts)
     assert (trust.verdict, trust.reason) == (expected.verdict, expected.reason)
 
 
@@ -178,26 +178,26 @@ def test_the_other_rules_exclude_each_other(first, second):
     ],
 )
 def test_a_limit_itself_is_not_doubtful(below, at, reason):
-    assert judged(replace(SURE, **below)).reason == reason
-    assert judged(replace(SURE, **at)).verdict == "fits better"
+    assert trust_of(replace(SURE, **below)).reason == reason
+    assert trust_of(replace(SURE, **at)).verdict == "fits better"
 
 
 def test_a_camera_that_nobody_gave_is_doubtful_only_where_the_cloud_hardly_fits_it():
     assumed = replace(SURE, diagnosis=Diagnosis((), notes=(ASSUMED,)))
-    assert judged(replace(assumed, overlap=(LEAST_IF_ASSUMED, 0.9))) == judged(SURE)
-    assert judged(replace(assumed, overlap=(LEAST_IF_ASSUMED - 0.01, 0.9))).verdict == "doubtful"
+    assert trust_of(replace(assumed, overlap=(LEAST_IF_ASSUMED, 0.9))) == trust_of(SURE)
+    assert trust_of(replace(assumed, overlap=(LEAST_IF_ASSUMED - 0.01, 0.9))).verdict == "doubtful"
 
 
 @pytest.mark.parametrize("row", ["place", "model"])
 def test_what_is_doubtful_moves_only_a_little(row):
     doubted = replace(SURE, **ROWS[row][0])
-    assert judged(replace(doubted, far=MOST_OF_DOUBTFUL)).moves
-    assert not judged(replace(doubted, far=MOST_OF_DOUBTFUL + 0.01)).moves
+    assert trust_of(replace(doubted, far=MOST_OF_DOUBTFUL)).moves
+    assert not trust_of(replace(doubted, far=MOST_OF_DOUBTFUL + 0.01)).moves
 
 
 @pytest.mark.parametrize("row", ["finding", "unsure", "overlap", "assumed", "misfit"])
 def test_where_something_is_wrong_nothing_moves_however_little(row):
-    assert not judged(replace(SURE, **ROWS[row][0], far=0.0)).moves
+    assert not trust_of(replace(SURE, **ROWS[row][0], far=0.0)).moves
 
 
 @pytest.mark.parametrize(
@@ -208,24 +208,24 @@ def test_what_is_wrong_with_few_views_the_others_outvote_where_the_model_is_sure
     outvoted, confidence, moves
 ):
     facts = replace(SURE, diagnosis=replace(BOX, outvoted=outvoted), confidence=confidence)
-    assert judged(facts) == doubtful(FINDING, words_of(BOX), moves)
+    assert trust_of(facts) == doubtful(FINDING, words_of(BOX), moves)
 
 
 def test_a_move_that_was_asked_for_and_explains_the_misfit_is_left_to_the_model():
     explained = replace(SURE, placed=True, asked=True, explains=True)
-    assert judged(explained) == Trust("fits better", 0.9)
-    assert judged(replace(explained, confidence=0.5)).reason == "motion"
+    assert trust_of(explained) == Trust("fits better", 0.9)
+    assert trust_of(replace(explained, confidence=0.5)).reason == "motion"
 
 
 def test_an_unsure_place_is_doubtful_as_an_unsure_camera_is():
-    trust = judged(replace(SURE, diagnosis=Diagnosis((), notes=(UNPLACED,))))
+    trust = trust_of(replace(SURE, diagnosis=Diagnosis((), notes=(UNPLACED,))))
     says = "the place of the cloud is unsure: two places fit"
     assert trust == doubtful("unsure-place", says)
 
 
 def test_a_weak_hypothesis_that_is_not_confirmed_changes_nothing():
     weak = Diagnosis((), weak=(Finding("mask-flipped", (0,)),))
-    assert judged(replace(SURE, diagnosis=weak)) == judged(SURE)
+    assert trust_of(replace(SURE, diagnosis=weak)) == trust_of(SURE)
 
 
 @pytest.mark.parametrize(

@@ -222,7 +222,7 @@ RULES = (
 )
 
 
-def judged(facts: Facts, features: dict[str, float] | None = None) -> Trust:
+def trust_of(facts: Facts, features: dict[str, float] | None = None) -> Trust:
     """What the first rule that holds says."""
     rule = next(rule for rule in RULES if rule.holds(facts))
     verdict, confidence, moves = rule.verdict, rule.confidence(facts), rule.moves(facts)

@@ -13,7 +13,7 @@ from ..diagnosis.confidence import confidence_of, features_of
 from ..diagnosis.determined import Evidence
 from ..diagnosis.examine import Diagnosis
 from ..diagnosis.findings import Finding
-from ..diagnosis.trust import LEAST_OVERLAP, NO_REASON, Facts, Trust, Why, judged
+from ..diagnosis.trust import LEAST_OVERLAP, NO_REASON, Facts, Trust, Why, trust_of
 from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
 from ..geometry.arrays import Array
@@ -170,7 +170,7 @@ def _ending(
     unknown = NO_REASON if kept else _why_unknown(problem, optimised, settings)
     of_run = problem, optimised, displacements, moved, of_shape, move, diagnosis
     facts, features = _facts(*of_run, not kept, settings.move != "auto", unknown)
-    trust = judged(facts, features)
+    trust = trust_of(facts, features)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
     if trust.verdict == "doubtful" and not (trust.moves or settings.accept_doubtful):
         return _Ending(start, [(before, before) for before, _ in ious], trust, "left", "doubtful")
