@@ -160,8 +160,8 @@ def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit.
 
-    The exit codes are 0 done, 1 failed, 2 unusable input, 3 target missed (GateError) and
-    130 interrupted.
+    The exit codes are 0 done, 1 failed, 2 unusable input, 3 target missed (GateError),
+    4 a cloud that --strict left as it was, and 130 interrupted.
     """
     # Objects made by imports stay: searching them for garbage takes 5 ms.
     gc.set_threshold(100_000)

@@ -30,7 +30,6 @@ from tso_cli.lab.study import Progress
 ROOT = Path(__file__).parents[2]
 PACKAGE = Path(tso_cli.__file__).parent
 CHAIR, CAR = EXAMPLES / "chair", EXAMPLES / "car"
-FEW = "--preset paper --steps 2"  # a quick run
 linux = pytest.mark.skipif(sys.platform != "linux", reason="kills processes by /proc")
 
 
@@ -46,7 +45,7 @@ def items(tmp_path, monkeypatch):
     return write
 
 
-def row(name, cloud=CHAIR / "initial.ply", more="2,paper"):
+def row(name, cloud=CHAIR / "initial.ply", more="2,best"):
     return f"{cloud},{CHAIR / 'mask.png'},{name},{more}"
 
 
@@ -63,10 +62,10 @@ def ends_of(journal):
 
 
 def test_every_item_is_refined_as_it_is_alone(items, tso):
-    items(HEADER, row("a.ply"), f"{CAR / 'initial.ply'},{CAR / 'mask.png'},in/b.ply,3,paper")
+    items(HEADER, row("a.ply"), f"{CAR / 'initial.ply'},{CAR / 'mask.png'},in/b.ply,3,best")
     found = tso("batch", "items.csv", "-o", "out", "--json").document
     assert found["done"] == 2
-    alone = ("--steps", 3, "--preset", "paper", "-o", "b.ply")
+    alone = ("--steps", 3, "-o", "b.ply")
     assert tso("refine", CAR / "initial.ply", CAR / "mask.png", *alone).code == 0
     results = [read_cloud(path).points for path in ("out/in/b.ply", "b.ply")]
     np.testing.assert_allclose(*results, atol=1e-5)
@@ -430,9 +429,9 @@ def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
     here = chair_at_an_address(tmp_path)
     items(
         "cloud,mask,camera,output,steps,preset",
-        f"{here}/initial.ply,{here}/mask.png,{here}/camera.json,{here}/far/a.ply,2,paper",
-        "initial.ply,mask.png,camera.json,b.ply,2,paper",
-        f"{here}/nothing.ply,mask.png,camera.json,c.ply,2,paper",
+        f"{here}/initial.ply,{here}/mask.png,{here}/camera.json,{here}/far/a.ply,2,best",
+        "initial.ply,mask.png,camera.json,b.ply,2,best",
+        f"{here}/nothing.ply,mask.png,camera.json,c.ply,2,best",
     )
     found = tso("batch", "items.csv", "-o", "out", "-q", "--json")
     assert found.code == 3
@@ -460,8 +459,8 @@ def test_a_camera_next_to_a_remote_mask_is_found_and_the_record_names_addresses(
     here = chair_at_an_address(tmp_path)
     items(
         "cloud,mask,output,steps,preset,report,write-camera",
-        f"{here}/initial.ply,{here}/mask.png,a.ply,2,paper,a.html,a.json",
-        f"initial.ply,{here}/mask.png,{here}/far/b.ply,2,paper,,",
+        f"{here}/initial.ply,{here}/mask.png,a.ply,2,best,a.html,a.json",
+        f"initial.ply,{here}/mask.png,{here}/far/b.ply,2,best,,",
     )
     assert tso("batch", f"{here}/items.csv", "-o", "out", "-q").code == 0
     own = json.loads(Path("out/a.record.json").read_text())

@@ -40,7 +40,7 @@ def test_four_lines_say_what_was_written_how_well_it_agrees_how_far_it_moved_and
     assert len(lines) == 4
     assert lines[0] == "initial.refined.ply: 1,024 points"
     assert re.fullmatch(
-        r"  IoU    0\.\d{3} -> 0\.\d{3} with the mask \(improved, confidence 0\.\d\d\)", lines[1]
+        r"  IoU    0\.\d{3} -> 0\.\d{3} with the mask \(fits better, confidence 0\.\d\d\)", lines[1]
     )
     assert re.fullmatch(
         r"  moved  \d\.\d % of the object's size on average, \d+\.\d % at most", lines[2]
@@ -62,7 +62,7 @@ def test_json_is_one_document_with_all_promised_entries(folder, refine):
         "iou_before iou_after loss_before loss_after moved_by_prior moved_mean moved_max "
         "chamfer_to_initial prior "
         "moving points outliers symmetry symmetry_outcome symmetry_reason learning_rate gamma "
-        "sigma_sq device checkpoint frame confidence verdict reason warnings suspects step_taken "
+        "sigma_sq device checkpoint frame confidence verdict reason warnings suspects moved "
         "decisions convention seconds version"
     )
     assert set(promised.split()) <= set(document)

@@ -10,6 +10,7 @@ from PIL import Image
 
 from tests.scenes import EXAMPLES
 from tso_cli.diagnosis.hypotheses import HYPOTHESES, of_width
+from tso_cli.diagnosis.trust import LEAST_CONFIDENCE
 from tso_cli.io.cameras import CameraRecord, read_camera, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.masks import read_mask
@@ -37,8 +38,8 @@ def test_the_json_of_a_result_and_of_a_check_have_the_same_entries_of_a_verdict(
     check = refine(*POINTS, "--check", "--json").document
     assert set(result) >= CONTRACT
     assert set(check) >= CONTRACT
-    assert result["verdict"] == "improved"
-    assert 0.8 <= result["confidence"] <= 1.0
+    assert result["verdict"] == "fits better"
+    assert LEAST_CONFIDENCE <= result["confidence"] <= 1.0
     assert check["verdict"] is None
     assert check["confidence"] is None
     for document in (result, check):
@@ -84,7 +85,7 @@ def test_an_inverted_mask_is_reported_with_the_option_that_mends_it(inverted, re
     assert "nothing: the input looks wrong (--accept-doubtful refines the cloud all the" in run.out
     assert (read_cloud("initial.refined.ply").points == read_cloud("initial.ply").points).all()
     accepted = refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document
-    assert accepted["step_taken"] is True
+    assert accepted["moved"] is True
     document = refine(*POINTS, "--check", "--json").document
     assert document["verdict"] == "doubtful"
     assert document["confidence"] is None
@@ -116,18 +117,18 @@ def test_a_result_of_an_unsure_camera_is_doubtful(folder, refine, options):
     assert result["verdict"] == check["verdict"] == "doubtful"
     assert result["reason"].startswith("the fitted camera is unsure")
     assert check["reason"] == result["reason"]
-    assert (result["confidence"] or 0.0) <= 0.5
-    assert result["step_taken"] is False
+    assert result["confidence"] is None
+    assert result["moved"] is False
 
 
-def test_without_a_camera_file_no_result_is_sure(folder, refine):
+def test_without_a_camera_file_one_is_assumed_and_a_wrong_one_is_doubtful(folder, refine):
     Path("camera.json").unlink()
     for more in ((), ("--check",)):
         run = refine(*POINTS, *more, "--json")
         assert "mask.png: no camera was given" in run.err
         assert "(--camera FILE, or --camera fit)" in run.err
     result = refine(*POINTS, "--accept-doubtful", "-o", "all.ply", "--json").document
-    assert result["confidence"] <= 0.8
+    assert (result["verdict"], result["confidence"]) == ("doubtful", None)
 
 
 def test_strict_writes_nothing_of_an_unsure_camera(folder, refine, tmp_path):

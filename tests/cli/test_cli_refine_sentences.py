@@ -15,10 +15,11 @@ from tso_cli.commands.sentences import (
     why_unmoved,
 )
 from tso_cli.diagnosis.assumptions import INVERTED, Assumption
-from tso_cli.diagnosis.confidence import FINDING, REASONS, Trust
+from tso_cli.diagnosis.confidence import REASONS
 from tso_cli.diagnosis.examine import AXES_ADVICE, Diagnosis, NoOverlapError
 from tso_cli.diagnosis.findings import NOTES, Finding
 from tso_cli.diagnosis.hypotheses import HYPOTHESES
+from tso_cli.diagnosis.trust import FINDING, Trust
 
 ONE, TWO = Words(["a.png"]), Words(["a.png", "b.png"])
 SIX = Words([f"{number}.png" for number in range(6)])
@@ -157,7 +158,7 @@ def test_a_note_names_its_view_and_the_option_that_mends_it(name):
     numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "times", "share"), 3.0)
     numbers |= dict.fromkeys(("distance", "size", "count", "rank", "covered", "relief"), 3.0)
     numbers |= dict.fromkeys(("off", "of_ray", "scale", "shift", "places"), 3.0)
-    words = dict.fromkeys(("why", "kind", "what"), "a face is degenerate")
+    words = dict.fromkeys(("why", "kind", "what", "how"), "a face is degenerate")
     finding = Finding(name, (1,), values={**numbers, **words})
     option = OPTIONS_OF_NOTES.get(name, "")
     if name == "depth-unit":
@@ -233,9 +234,9 @@ def changed(result: RefineResult, *, fit=None, **fields) -> RefineResult:
     return replace(result, fit=replace(result.fit, **(fit or {})), **fields)
 
 
-def kept(result: RefineResult, stop_reason: str, outcome: str = "unchanged") -> RefineResult:
-    fit = {"stop_reason": stop_reason, "outcome": outcome, "best_step": 0, "moved_max": 0.0}
-    return changed(result, fit=fit, trust=Trust("unchanged", 1.0, moves=False))
+def kept(result: RefineResult, stop_reason: str) -> RefineResult:
+    fit = {"stop_reason": stop_reason, "outcome": "left", "best_step": 0, "moved_max": 0.0}
+    return changed(result, fit=fit, trust=Trust("left", None, moves=False))
 
 
 @pytest.mark.parametrize(
@@ -245,7 +246,7 @@ def kept(result: RefineResult, stop_reason: str, outcome: str = "unchanged") -> 
         ("interrupted", "interrupted at step 6, before one lowered the loss"),
         ("non_finite", "the loss was not a number after step 6, and no loss before was lower"),
         ("nothing_to_do", "the cloud already agrees with all that the mask shows"),
-        ("not_improved", "nothing that the mask shows asks for another shape"),
+        ("not_improved", "nothing that was tried agrees better with what the mask shows"),
     ],
 )
 def test_why_nothing_moved(moved, stop_reason, why):
@@ -257,8 +258,8 @@ def test_why_nothing_moved(moved, stop_reason, why):
     assert warning == f"{what}: {why_unmoved(result)}; the cloud is as it was"
 
 
-def test_a_refused_displacement_can_be_accepted(moved):
-    result = kept(moved, "doubtful", "refused")
+def test_a_displacement_that_is_left_can_be_accepted(moved):
+    result = kept(moved, "doubtful")
     assert why_unmoved(result) == (
         "the displacement is doubtful (--accept-doubtful takes it all the same)"
     )
@@ -269,17 +270,17 @@ def test_a_refused_displacement_can_be_accepted(moved):
     [
         (
             {"stop_reason": "interrupted"},
-            Trust("improved", 0.9),
+            Trust("fits better", 0.9),
             "interrupted at step 6 of 6: the result is the best so far",
         ),
         (
             {"stop_reason": "non_finite"},
-            Trust("improved", 0.9),
+            Trust("fits better", 0.9),
             "the loss was not a number after step 6: the result is the best before that",
         ),
         (
             {"moved_max": 9e-4},
-            Trust("improved", 0.9),
+            Trust("fits better", 0.9),
             "hardly anything moved: no point by more than 0.1 % of the object's size",
         ),
         (
@@ -295,10 +296,10 @@ def test_a_refused_displacement_can_be_accepted(moved):
         ),
         (
             {},
-            Trust("doubtful", 0.49, "unsure-camera", "two poses fit"),
-            "the result is doubtful (confidence 0.49), and the points moved: two poses fit",
+            Trust("doubtful", None, "unsure-camera", "two poses fit"),
+            "the result is doubtful, and the points moved: two poses fit",
         ),
-        ({}, Trust("improved", 0.9), None),
+        ({}, Trust("fits better", 0.9), None),
     ],
 )
 def test_the_warning_of_a_result(moved, fit, trust, warning):
@@ -307,16 +308,15 @@ def test_the_warning_of_a_result(moved, fit, trust, warning):
 
 
 @pytest.mark.parametrize(
-    ("outcome", "taken"),
+    ("fit", "taken"),
     [
-        ("moved", ", and the points moved"),
-        ("refused", ", so the cloud is left as it was"),
+        ({}, ", and the points moved"),
+        ({"outcome": "left", "stop_reason": "doubtful"}, ", so the cloud is left as it was"),
     ],
 )
-def test_a_suspicious_finding_is_the_reason_and_its_option_is_named(moved, outcome, taken):
+def test_a_suspicious_finding_is_the_reason_and_its_option_is_named(moved, fit, taken):
     finding = Finding("opengl", (0,))
-    trust = Trust("doubtful", 0.8, FINDING, "in Python's words")
-    fit = {"outcome": outcome, "best_step": 6 if outcome == "moved" else 0}
+    trust = Trust("doubtful", None, FINDING, "in Python's words")
     result = changed(moved, fit=fit, trust=trust, findings=(finding,))
     assert ONE.reason(result) == ONE.suspicion([finding])
     assert ONE.warnings(result) == [f"the result is doubtful{taken}: {ONE.suspicion([finding])}"]
@@ -325,7 +325,7 @@ def test_a_suspicious_finding_is_the_reason_and_its_option_is_named(moved, outco
 def test_notes_follow_the_warnings_of_a_result(moved):
     notes = (Finding("specks", (0,), values={"pixels": 3}), Finding("contradicted", (0,)))
     notes = (notes[0], replace(notes[1], values={"weight": 0.25}))
-    assert ONE.warnings(changed(moved, trust=Trust("improved", 0.9), findings=notes)) == [
+    assert ONE.warnings(changed(moved, trust=Trust("fits better", 0.9), findings=notes)) == [
         "a.png: foreground far from the object is left out (3 px)",
         "a.png: the other views contradict it, so it counts for little (inlier weight 0.25 of 1); "
         "is its mask or camera wrong?",
@@ -334,7 +334,7 @@ def test_notes_follow_the_warnings_of_a_result(moved):
 
 def test_an_unsure_camera_is_said_once(moved):
     camera = Finding("unsure-camera", (0,), values={"why": "two poses fit"})
-    trust = Trust("improved", 0.9).limited(Diagnosis((), notes=(camera,)), 0.6, 0.9)
+    trust = Trust("doubtful", None, camera.name, camera.says, moves=False)
     (warning,) = ONE.warnings(changed(moved, trust=trust, findings=(camera,)))
     assert warning.endswith("the fitted camera is unsure: two poses fit")
 
@@ -354,4 +354,4 @@ def test_every_reason_of_the_model_has_words(moved):
 
 
 def test_a_right_result_has_no_reason(moved):
-    assert ONE.reason(changed(moved, trust=Trust("improved", 0.9))) == ""
+    assert ONE.reason(changed(moved, trust=Trust("fits better", 0.9))) == ""

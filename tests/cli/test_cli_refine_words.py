@@ -49,7 +49,7 @@ def test_quiet_prints_nothing_but_errors_and_the_json_document(folder, refine):
 
 
 def test_a_run_that_moves_nothing_says_so_and_why(folder, refine):
-    why = "nothing that the mask shows asks for another shape"
+    why = "nothing that was tried agrees better with what the mask shows"
     warning = f"nothing moved: {why}; the cloud is as it was"
     settings = ("--preset", "paper", "--learning-rate", "0.5", "--steps", "3")
     arguments = ("initial.ply", "mask.png", *settings)

@@ -10,8 +10,6 @@ from tests.scenes import block, example, seen, turned
 from tso_cli import Camera, RefineConfig, View, refine
 from tso_cli.cloud.cloud import Cloud
 from tso_cli.diagnosis.examine import (
-    CONFIDENCE_OF_BOXES,
-    CONFIDENCE_OF_MISPAIRED,
     NoOverlapError,
     examine,
 )
@@ -26,7 +24,6 @@ def test_right_input_has_no_findings(name):
     scene = example(name)
     diagnosis = examined(scene.points, [scene.view])
     assert diagnosis.findings == ()
-    assert diagnosis.most_confidence == 1.0
     assert not diagnosis.outvoted
 
 
@@ -34,20 +31,19 @@ def test_right_input_has_no_findings(name):
 
 
 @pytest.mark.parametrize(
-    ("views", "most_confidence", "outvoted", "suspicious"),
+    ("views", "outvoted", "suspicious"),
     [
-        (around(4), 1.0, False, []),
-        ([boxed(PLANE.view)], CONFIDENCE_OF_BOXES, False, [("box", (0,))]),
-        ([boxed(around()[0]), *around()[1:]], 1.0, True, [("box", (0,))]),
-        ([boxed(around()[0]), around()[1]], 1.0, False, [("box", (0,))]),
+        (around(4), False, []),
+        ([boxed(PLANE.view)], False, [("box", (0,))]),
+        ([boxed(around()[0]), *around()[1:]], True, [("box", (0,))]),
+        ([boxed(around()[0]), around()[1]], False, [("box", (0,))]),
         (
             [*map(boxed, around()[:3]), around()[3]],
-            1.0,
             False,
             [("box", (0,)), ("box", (1,)), ("box", (2,))],
         ),
-        (paired(around(4), [1, 2, 3, 0]), CONFIDENCE_OF_MISPAIRED, False, None),
-        (paired(around(8), [1, 0, 2, 3, 4, 5, 6, 7]), 1.0, True, [("mispaired", (0, 1))]),
+        (paired(around(4), [1, 2, 3, 0]), False, None),
+        (paired(around(8), [1, 0, 2, 3, 4, 5, 6, 7]), True, [("mispaired", (0, 1))]),
     ],
     ids=[
         "right",
@@ -59,11 +55,8 @@ def test_right_input_has_no_findings(name):
         "a pair of eight",
     ],
 )
-def test_how_sure_a_result_can_be_and_who_outvotes_whom(
-    views, most_confidence, outvoted, suspicious
-):
+def test_what_is_wrong_with_few_views_the_others_outvote(views, outvoted, suspicious):
     diagnosis = examined(PLANE.points, views)
-    assert diagnosis.most_confidence == most_confidence
     assert diagnosis.outvoted == outvoted
     if suspicious is not None:
         assert named(diagnosis.suspicious) == suspicious

@@ -233,14 +233,14 @@ def test_clouds_are_as_far_off_as_said(scene):
 @pytest.mark.parametrize(
     ("ratio", "verdict", "withheld", "expected"),
     [
-        (1.2, "improved", None, SILENT),
+        (1.2, "fits better", None, SILENT),
         (1.2, None, None, SILENT),
         (1.2, "doubtful", None, SAID),
-        (0.8, "improved", None, GAINED),
+        (0.8, "fits better", None, GAINED),
         (0.8, "doubtful", None, GAINED),
         (1.0, "doubtful", 0.8, WITHHELD),
         (1.0, "doubtful", 1.3, KEPT),
-        (1.04, "improved", None, KEPT),
+        (1.04, "fits better", None, KEPT),
     ],
 )
 def test_what_a_run_became(ratio, verdict, withheld, expected):
@@ -264,8 +264,8 @@ def test_only_the_object_counts_and_what_is_refused_is_said(scene, monkeypatch):
 
 def test_what_was_withheld_is_what_accepting_would_have_given(scene, monkeypatch):
     def refine(points, views, config):
-        gone = SimpleNamespace(outcome="moved" if config.accept_doubtful else "refused")
-        fit = SimpleNamespace(**vars(gone), iou_before=0.5, iou_after=0.5, stop_reason="")
+        outcome, reason = ("moved", "max_steps") if config.accept_doubtful else ("left", "doubtful")
+        fit = SimpleNamespace(outcome=outcome, stop_reason=reason, iou_before=0.5, iou_after=0.5)
         trust = SimpleNamespace(verdict="doubtful", confidence=0.3)
         result = scene.initial if config.accept_doubtful else points
         move = SimpleNamespace(kind="nothing")

@@ -182,7 +182,9 @@ def test_only_a_move_keeps_the_shape_to_rounding_in_the_units_of_the_file():
 def test_after_a_move_that_explains_the_misfit_the_shape_is_hardly_bent():
     wrong = _wrong(PLANE.target)
     result = refine(wrong, PLANE.view)
-    assert result.trust.verdict == "improved"
+    # Nobody asked for it, and the camera may be wrong instead.
+    assert (result.trust.verdict, result.trust.reason) == ("doubtful", "place")
+    assert result.moved
     assert result.fit.moved_mean < 0.003
     as_shape = refine(wrong, PLANE.view, config=RefineConfig(move="shape"))
     assert PLANE.error(result.points) < 0.7 * PLANE.error(as_shape.points)
@@ -214,7 +216,8 @@ def test_a_cloud_that_fits_stays_though_a_move_was_asked_for():
     assert result.move.kind == "nothing"
     assert "no other place fits much better" in result.move.why_unmoved
     np.testing.assert_array_equal(result.points, CHAIR.target)
-    assert result.trust.verdict == "unchanged"
+    assert (result.trust.verdict, result.trust.confidence) == ("left", 1.0)
+    assert not result.moved
 
 
 @pytest.mark.parametrize(

@@ -46,14 +46,14 @@ CONVENTION = {
     "some points of a large cloud; all others follow them",
     "outliers": "points far from the rest, or that masks leave out, which stay where they are",
     "confidence": "probability that the displacement does not make the cloud worse by over "
-    "5 % in Chamfer distance (a rising IoU is no proof); 1 where the start is best; null where "
-    "it is not known",
+    "5 % in Chamfer distance (a rising IoU is no proof); 1 for a start that fits and "
+    "stays; null where a rule decides without it",
     "determined": "share of the motions of the points that masks and depth maps fix more firmly "
     "than a position prior; one mask alone fixes at most about two thirds; null except for the "
     "default preset in points mode",
     "best_view": "where a further mask would determine most: degrees to the right of the first "
     "camera and above it, around the object; null without --point-confidence",
-    "moved": "whether anything moved: points, or cameras",
+    "moved": "whether anything moved: the shape, the cloud as one, or cameras",
     "transform": "4x4, x' = matrix x takes the cloud as it was given to where it moved as one, "
     "before its shape changed; the identity where nothing or a camera moved",
     "moved_as": "nothing, shift, pose (turn and shift), similarity (and size) or camera",

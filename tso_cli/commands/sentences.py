@@ -188,9 +188,8 @@ class Words:
         fit, trust, reason = result.fit, result.trust, self.reason(result)
         messages = [text for text in (reading_of(result), _of_course(result)) if text]
         if trust.verdict == "doubtful":
-            # A suspicious input makes a result doubtful whatever the confidence.
             sure = ""
-            if trust.confidence is not None and trust.reason != FINDING:
+            if trust.confidence is not None:
                 sure = f" (confidence {shown(trust.confidence)})"
             taken = ", so the cloud is left as it was" if _withheld(fit) else ""
             if fit.outcome == "moved":

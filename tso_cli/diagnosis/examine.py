@@ -26,9 +26,6 @@ from .placement import Placement, part_met, place, why_apart
 
 # Points that are projected to compare silhouettes.
 COMPARED_POINTS = 1024
-# The most confidence where all masks are bounding boxes, and where most masks are mispaired. Of
-# 138 scenes of training shapes with boxes for masks 93 % got worse; of 97 mispaired ones 85 %.
-CONFIDENCE_OF_BOXES, CONFIDENCE_OF_MISPAIRED = 0.07, 0.15
 # What is said where nothing explains why cloud and mask do not meet.
 AXES_ADVICE = (
     "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and "
@@ -46,7 +43,6 @@ class Diagnosis:
     notes : what is worth reading before a result is used.
     hidden : by number of the view, the pixels [H, W] that something in front of the object hides.
     explanation : None in the network modes, which place their cloud themselves.
-    most_confidence : an upper bound of the confidence, from what the masks can show.
     outvoted : whether the suspicious views are few, so that the others outvote them.
     fits : whether the cloud fits the contours of the masks, and of what they show of the object.
     otherwise : where masks and cameras seem to be mispaired, the diagnosis if they are not.
@@ -59,7 +55,6 @@ class Diagnosis:
     notes: tuple[Finding, ...] = ()
     hidden: Mapping[int, Bits] = field(default_factory=dict)
     explanation: Explanation | None = None
-    most_confidence: float = 1.0
     outvoted: bool = False
     fits: bool = False
     otherwise: Diagnosis | None = None
@@ -182,16 +177,12 @@ def _with_explanation(
         of_views = tuple(finding for finding in (*boxes, *found.of_views) if finding)
     # Pairs are one finding about several views.
     suspicious = sum(len(one.pairs) or 1 for one in of_views)
-    most_confidence = CONFIDENCE_OF_BOXES if all(boxes) else 1.0
-    if found.of_input and found.of_input[0].pairs:
-        most_confidence = CONFIDENCE_OF_MISPAIRED
     return replace(
         diagnosis,
         of_input=found.of_input,
         of_views=of_views,
         weak=() if diagnosis.hidden else found.weak,
         explanation=found,
-        most_confidence=most_confidence,
         outvoted=bool(of_views)
         and len(boxes) >= FEWEST_VIEWS_TO_OUTVOTE
         and suspicious < OUTVOTED_SHARE * len(boxes),

@@ -11,6 +11,8 @@ from .examine import Diagnosis
 from .findings import ASSUMED_CAMERA
 
 Verdict = Literal["fits better", "left", "doubtful"]
+Why = tuple[str, str]  # the name of a reason, and the reason in words
+NO_REASON: Why = ("", "")
 FINDING = "finding"
 """The reason of a result that is doubtful because of a suspicious finding."""
 UNSURE = ("unsure-camera", "unsure-place")
@@ -41,7 +43,7 @@ class Facts:
     missed : shares of the contours that the cloud misses, before and after. overlap : mean IoU of
         the views, before and after the shape moved.
     confidence, group : of the model, and the group of features that lowers it most.
-    unknown : why there is no confidence, as a name and in words; None where there is one.
+    unknown : why there is no confidence, if there is none.
     """
 
     diagnosis: Diagnosis
@@ -52,17 +54,17 @@ class Facts:
     far: float
     missed: tuple[float, float]
     overlap: tuple[float, float]
-    confidence: float = 1.0
-    group: str = ""
-    unknown: tuple[str, str] | None = None
+    confidence: float
+    group: str
+    unknown: Why = NO_REASON
 
-    def notes(self, *names: str) -> list[str]:
-        """What the notes with these ``names`` say."""
-        return [note.says for note in self.diagnosis.notes if note.name in names]
+    def notes(self, *names: str) -> list[Why]:
+        """The notes with these ``names``, as reasons."""
+        return [(note.name, note.says) for note in self.diagnosis.notes if note.name in names]
 
     @property
-    def is_small(self) -> bool:
-        return self.far <= MOST_OF_DOUBTFUL
+    def stays(self) -> bool:
+        return not self.improved and not self.placed
 
     @property
     def is_sure(self) -> bool:
@@ -78,8 +80,8 @@ class Trust:
         nothing can be said.
     confidence : probability that the displacement does not make the cloud worse by over 5 %
         in Chamfer distance, in [0, 1]; 1 for a start that fits and stays; None if it is not known.
-    reason : the name of the rule, or the group of features that lowers the confidence most
-        (`REASONS`), if doubtful or without a confidence; else "".
+    reason : if doubtful or without a confidence, its name: what a rule names, or the group of
+        features that lowers the confidence most (`REASONS`); else "".
     says : the reason in words; "" if there is none.
     moves : whether the displacement is taken without `accept_doubtful`.
     features : what the confidence is computed from.
@@ -93,63 +95,63 @@ class Trust:
     features: dict[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Rule:
-    """A row of the table.
-
-    holds : when it decides. moves : whether the displacement is then taken. says : why, in words.
-    confidence : what is said of it, if anything.
-    """
-
-    reason: str
-    holds: Callable[[Facts], bool]
-    verdict: Verdict | None
-    moves: Callable[[Facts], bool]
-    says: Callable[[Facts], str] = lambda facts: ""
-    confidence: Callable[[Facts], float | None] = lambda facts: None
+def _always(facts: Facts) -> bool:
+    return True
 
 
 def _never(facts: Facts) -> bool:
     return False
 
 
-def _always(facts: Facts) -> bool:
-    return True
+def _if_small(facts: Facts) -> bool:
+    return facts.far <= MOST_OF_DOUBTFUL
+
+
+def _if_outvoted(facts: Facts) -> bool:
+    """What is wrong with few views, the others outvote."""
+    return facts.diagnosis.outvoted and facts.is_sure
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A row of the table.
+
+    holds : when it decides. moves : whether the displacement is then taken. why : the reason, if
+    there is one. confidence : what is said of it; by default it is not known.
+    """
+
+    holds: Callable[[Facts], bool]
+    verdict: Verdict | None
+    moves: Callable[[Facts], bool]
+    why: Callable[[Facts], Why] = lambda facts: NO_REASON
+    confidence: Callable[[Facts], float | None] = lambda facts: None
 
 
 # The first rule that holds decides.
 RULES = (
-    # Something is probably wrong with the input. What is wrong with few views, the others outvote.
+    # Something is probably wrong with the input.
     Rule(
-        FINDING,
         lambda facts: bool(facts.diagnosis.suspicious),
         "doubtful",
-        lambda facts: facts.diagnosis.outvoted and facts.is_sure,
-        lambda facts: words_of(facts.diagnosis),
+        _if_outvoted,
+        lambda facts: (FINDING, words_of(facts.diagnosis)),
     ),
     Rule(
-        UNSURE[0],
-        lambda facts: bool(facts.notes(UNSURE[0])),
+        lambda facts: bool(facts.notes(*UNSURE)),
         "doubtful",
         _never,
-        lambda facts: facts.notes(UNSURE[0])[0],
+        lambda facts: facts.notes(*UNSURE)[0],
     ),
     Rule(
-        UNSURE[1],
-        lambda facts: bool(facts.notes(UNSURE[1])),
-        "doubtful",
-        _never,
-        lambda facts: facts.notes(UNSURE[1])[0],
-    ),
-    Rule(
-        "overlap",
         lambda facts: min(facts.overlap) < LEAST_OVERLAP,
         "doubtful",
         _never,
-        lambda facts: f"cloud and mask hardly overlap (IoU {min(facts.overlap):.2f})",
+        lambda facts: (
+            "overlap",
+            f"cloud and mask hardly overlap (IoU {min(facts.overlap):.2f})",
+        ),
     ),
     Rule(
-        ASSUMED_CAMERA,
         lambda facts: bool(facts.notes(ASSUMED_CAMERA)) and facts.overlap[0] < LEAST_IF_ASSUMED,
         "doubtful",
         _never,
@@ -157,84 +159,74 @@ RULES = (
     ),
     # The start stays. Only of one that fits is that sure to be right.
     Rule(
-        "fits",
-        lambda facts: facts.diagnosis.fits and not facts.improved and not facts.placed,
+        lambda facts: facts.stays and facts.diagnosis.fits,
         "left",
         _never,
         confidence=lambda facts: 1.0,
     ),
     Rule(
-        "unexplained",
-        lambda facts: not facts.improved and not facts.placed,
+        lambda facts: facts.stays,
         "left",
         _never,
         lambda facts: (
+            "unexplained",
             "nothing that was tried agrees better with the masks, and the cloud misses "
-            f"{facts.missed[0]:.0%} of their contours"
+            f"{facts.missed[0]:.0%} of their contours",
         ),
     ),
+    # Nothing is known of what moved.
     Rule(
-        "",
-        lambda facts: facts.unknown is not None,
+        lambda facts: facts.unknown != NO_REASON,
         None,
         _always,
-        lambda facts: facts.unknown[1] if facts.unknown else "",
+        lambda facts: facts.unknown,
     ),
     # A move that was asked for is made; one that nobody asked for may be a mistake of the camera.
     Rule(
-        "move",
         lambda facts: facts.placed and facts.asked and not facts.explains,
         "doubtful",
         _always,
         lambda facts: (
-            f"the cloud misses {facts.missed[1]:.0%} of the contours in its new place too"
+            "move",
+            f"the cloud misses {facts.missed[1]:.0%} of the contours in its new place too",
         ),
     ),
     Rule(
-        "place",
         lambda facts: facts.placed and not facts.asked,
         "doubtful",
-        lambda facts: facts.is_small,
-        lambda facts: "the cloud was out of place, or the camera is: masks cannot tell",
+        _if_small,
+        lambda facts: (
+            "place",
+            "the cloud was out of place, or the camera is: masks cannot tell",
+        ),
     ),
+    # What moved fits less, or as the model says.
     Rule(
-        "misfit",
         lambda facts: facts.missed[1] > facts.missed[0] + MORE_MISSED,
         "doubtful",
         _never,
         lambda facts: (
+            "misfit",
             f"the cloud misses {facts.missed[1]:.0%} of the contours afterwards, before "
-            f"{facts.missed[0]:.0%}"
+            f"{facts.missed[0]:.0%}",
         ),
     ),
     Rule(
-        "",
         lambda facts: not facts.is_sure,
         "doubtful",
-        lambda facts: facts.is_small,
-        lambda facts: REASONS.get(facts.group, ""),
+        _if_small,
+        lambda facts: (facts.group, REASONS[facts.group]),
         lambda facts: facts.confidence,
     ),
-    Rule("", _always, "fits better", _always, confidence=lambda facts: facts.confidence),
+    Rule(_always, "fits better", _always, confidence=lambda facts: facts.confidence),
 )
 
 
-def judged(facts: Facts, features: dict[str, float] | None = None) -> Trust:
+def trust_of(facts: Facts, features: dict[str, float] | None = None) -> Trust:
     """What the first rule that holds says."""
     rule = next(rule for rule in RULES if rule.holds(facts))
-    reason = rule.reason
-    if not reason and rule.verdict is None and facts.unknown:
-        reason = facts.unknown[0]
-    elif not reason and rule.verdict == "doubtful":
-        reason = facts.group
-    return Trust(
-        rule.verdict,
-        rule.confidence(facts),
-        reason,
-        rule.says(facts),
-        rule.moves(facts),
-        features or {},
-    )
+    verdict, confidence, moves = rule.verdict, rule.confidence(facts), rule.moves(facts)
+    return Trust(verdict, confidence, *rule.why(facts), moves, features or {})
 
 
 def words_of(diagnosis: Diagnosis) -> str:

@@ -13,7 +13,7 @@ from ..diagnosis.confidence import confidence_of, features_of
 from ..diagnosis.determined import Evidence
 from ..diagnosis.examine import Diagnosis
 from ..diagnosis.findings import Finding
-from ..diagnosis.trust import LEAST_OVERLAP, Facts, Trust, judged
+from ..diagnosis.trust import LEAST_OVERLAP, NO_REASON, Facts, Trust, Why, trust_of
 from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
 from ..geometry.arrays import Array
@@ -167,14 +167,10 @@ def _ending(
     if kept:
         moved, displacements = start, np.zeros_like(displacements)
         of_shape = [(before, before) for before, _ in of_shape]
-    facts, features = _facts(problem, optimised, displacements, moved, of_shape, move, diagnosis)
-    facts = replace(
-        facts,
-        improved=not kept,
-        asked=settings.move != "auto",
-        unknown=None if kept else _why_unknown(problem, optimised, settings),
-    )
-    trust = judged(facts, features)
+    unknown = NO_REASON if kept else _why_unknown(problem, optimised, settings)
+    of_run = problem, optimised, displacements, moved, of_shape, move, diagnosis
+    facts, features = _facts(*of_run, not kept, settings.move != "auto", unknown)
+    trust = trust_of(facts, features)
     ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
     if trust.verdict == "doubtful" and not (trust.moves or settings.accept_doubtful):
         return _Ending(start, [(before, before) for before, _ in ious], trust, "left", "doubtful")
@@ -189,6 +185,9 @@ def _facts(
     ious: Ious,
     move: Move,
     diagnosis: Diagnosis,
+    improved: bool,
+    asked: bool,
+    unknown: Why,
 ) -> tuple[Facts, dict[str, float]]:
     """What is known of a displaced cloud, and the features of its confidence."""
     cloud = problem.cloud
@@ -203,15 +202,16 @@ def _facts(
     placed = move.kind != "nothing"
     facts = Facts(
         diagnosis,
-        improved=True,
-        placed=placed,
-        asked=False,
+        improved,
+        placed,
+        asked,
         explains=move.explains,
         far=float(np.sqrt(np.square(far).sum(1).mean())) / cloud.scale,
         missed=(move.missed_before if placed else before, after),
         overlap=(overlap[0], overlap[1]),
         confidence=confidence,
         group=group,
+        unknown=unknown,
     )
     return facts, features
 
@@ -223,10 +223,8 @@ def _outvoted(diagnosis: Diagnosis, weighed: WeighedProblem) -> Diagnosis:
     return replace(diagnosis, outvoted=diagnosis.outvoted and little)
 
 
-def _why_unknown(
-    problem: Problem, optimised: Optimised, settings: Settings
-) -> tuple[str, str] | None:
-    """Why there is no confidence, as a name and in words; None where there is one."""
+def _why_unknown(problem: Problem, optimised: Optimised, settings: Settings) -> Why:
+    """Why there is no confidence, if there is none."""
     # An optimisation that ended because no loss was left is whole.
     steps = settings.steps if optimised.losses[-1] == 0.0 else optimised.steps
     points = len(problem.cloud.control_points)
@@ -237,7 +235,7 @@ def _why_unknown(
         ("interrupted", "it was interrupted", few and optimised.interrupted),
         ("steps", f"{steps} steps are too few", few),
     )
-    return next(((name, says) for name, says, holds in reasons if holds), None)
+    return next(((name, says) for name, says, holds in reasons if holds), NO_REASON)
 
 
 def _moved(problem: Problem, displacements: Array) -> tuple[MovedCloud, Ious]:
