@@ -16,7 +16,6 @@ from tso_cli.diagnosis.trust import (
     LEAST_CONFIDENCE,
     LEAST_IF_ASSUMED,
     LEAST_OVERLAP,
-    MORE_MISSED,
     MOST_OF_DOUBTFUL,
     RULES,
     Facts,
@@ -96,13 +95,13 @@ ROWS = {
         {"placed": True, "asked": True},
         doubtful("move", "the cloud misses 10% of the contours in its new place too", True),
     ),
+    "explained": (
+        {"placed": True, "asked": True, "explains": True, "confidence": 0.5},
+        Trust("fits better", None),
+    ),
     "place": (
         {"placed": True},
         doubtful("place", "the cloud was out of place, or the camera is: masks cannot tell"),
-    ),
-    "misfit": (
-        {"missed": (0.3, 0.4)},
-        doubtful("misfit", "the cloud misses 40% of the contours afterwards, before 30%"),
     ),
     "model": (
         {"confidence": 0.5},
@@ -114,6 +113,9 @@ ROWS = {
 EXCLUSIVE = {
     *((stays, moved) for stays in ("fits", "unexplained") for moved in ("move", "place")),
     ("move", "place"),
+    ("move", "explained"),
+    ("explained", "place"),
+    *((stays, "explained") for stays in ("fits", "unexplained")),
 }
 
 
@@ -170,11 +172,6 @@ def test_the_other_rules_exclude_each_other(first, second):
     [
         ({"confidence": LOW}, {"confidence": LEAST_CONFIDENCE}, "motion"),
         ({"overlap": (0.6, LEAST_OVERLAP - 0.01)}, {"overlap": (0.6, LEAST_OVERLAP)}, "overlap"),
-        (
-            {"missed": (0.25, 0.26 + MORE_MISSED)},
-            {"missed": (0.25, 0.25 + MORE_MISSED)},
-            "misfit",
-        ),
     ],
 )
 def test_a_limit_itself_is_not_doubtful(below, at, reason):
@@ -195,7 +192,7 @@ def test_what_is_doubtful_moves_only_a_little(row):
     assert not trust_of(replace(doubted, far=MOST_OF_DOUBTFUL + 0.01)).moves
 
 
-@pytest.mark.parametrize("row", ["finding", "unsure", "overlap", "assumed", "misfit"])
+@pytest.mark.parametrize("row", ["finding", "unsure", "overlap", "assumed"])
 def test_where_something_is_wrong_nothing_moves_however_little(row):
     assert not trust_of(replace(SURE, **ROWS[row][0], far=0.0)).moves
 
@@ -211,10 +208,11 @@ def test_what_is_wrong_with_few_views_the_others_outvote_where_the_model_is_sure
     assert trust_of(facts) == doubtful(FINDING, words_of(BOX), moves)
 
 
-def test_a_move_that_was_asked_for_and_explains_the_misfit_is_left_to_the_model():
-    explained = replace(SURE, placed=True, asked=True, explains=True)
-    assert trust_of(explained) == Trust("fits better", 0.9)
-    assert trust_of(replace(explained, confidence=0.5)).reason == "motion"
+def test_what_an_explaining_move_gains_is_more_than_its_shape_could_lose():
+    explained = replace(SURE, placed=True, asked=True, explains=True, far=2.0)
+    for confidence in (0.9, 0.3):
+        trust = trust_of(replace(explained, confidence=confidence))
+        assert trust == Trust("fits better", None)
 
 
 def test_an_unsure_place_is_doubtful_as_an_unsure_camera_is():
