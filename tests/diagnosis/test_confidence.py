@@ -159,14 +159,16 @@ def test_an_object_in_a_large_picture_has_the_confidence_of_one_in_a_small_pictu
         refine(scene.points, each, config=ACCEPTING)
         for each in (view, in_photo(large, 2, 300, 500))
     )
-    assert abs(_confidence(large) - _confidence(small)) < 0.05
+    # Its pixels are four times as fine, which tells a little more.
+    assert abs(_confidence(large) - _confidence(small)) < 0.1
     name = "misfit: contours"
     assert abs(large.trust.features[name] - small.trust.features[name]) < 0.1
 
 
-def test_points_of_a_floor_cost_confidence(right):
+def test_points_of_a_floor_change_no_confidence(right):
     low, high = AIRPLANE.target.min(0), AIRPLANE.target.max(0)
     floor = np.random.default_rng(0).uniform(low - 0.5, high + 0.5, (1024, 3))
     floor[:, 1] = low[1]
     with_floor = refine(np.concatenate([AIRPLANE.points, floor]), AIRPLANE.view)
-    assert _confidence(with_floor) < _confidence(right)
+    assert "left-out" in [finding.name for finding in with_floor.findings]
+    assert _confidence(with_floor) == pytest.approx(_confidence(right), abs=0.05)

@@ -148,7 +148,6 @@ def test_masks_that_seem_to_be_exchanged_and_are_not_are_paired_rightly(count, m
     monkeypatch.setattr("tso_cli.diagnosis.explain._mispaired", lambda *_: _seeming(views, pairs))
     diagnosis = _verified_pairs(PLANE.points, views)
     assert diagnosis.suspicious == ()
-    assert diagnosis.most_confidence == 1.0
     assert not diagnosis.outvoted
     result = refine(PLANE.points, views)
     assert result.findings == ()

@@ -192,7 +192,7 @@ RULES = (
     # What its place gained is more than what its shape could lose.
     Rule(lambda facts: facts.placed and facts.asked, "fits better", _always),
     Rule(
-        lambda facts: facts.placed,
+        lambda facts: facts.placed and not facts.asked,
         "doubtful",
         _if_small,
         lambda facts: (

@@ -51,7 +51,7 @@ FEW_STEPS = 8
 # Smaller errors of a camera or a mask are those of a right one: pixels by which the contour moves,
 # logarithms, longer sides of the picture. They may explain a misfit, but then the shape is nearly
 # right too.
-LEAST_PIXELS, LEAST_FACTOR, LEAST_SHIFT = 0.5, 0.03, 0.02
+LEAST_PIXELS, LEAST_FACTOR, LEAST_SHIFT = 0.75, 0.03, 0.02
 # What of the contours an unknown must explain: with six more unknowns a cloud of a right shape and
 # place misses about six times as much less.
 PRICE = 0.01
