@@ -101,7 +101,9 @@ def test_results_that_are_not_of_this_batch_are_not_replaced(items, tso):
     assert tso("batch", "items.csv", "-o", "out", "--overwrite", "-q").code == 0
 
 
-DOUBTFUL = f"{CHAIR / 'initial.ply'},{EXAMPLES / 'airplane/mask.png'},{CHAIR / 'camera.json'}"
+# The mask is of another object.
+PLANE = EXAMPLES / "airplane"
+DOUBTFUL = f"{CHAIR / 'initial.ply'},{PLANE / 'mask.png'},{PLANE / 'camera.json'}"
 
 
 def test_a_batch_with_a_doubtful_item_never_seems_to_be_all_done(items, tso):

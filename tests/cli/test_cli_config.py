@@ -10,7 +10,7 @@ from tests.corruption import assert_one_line, corruptions
 from tso_cli import __version__
 from tso_cli.io.clouds import read_cloud, write_cloud
 
-FEW = ("--preset", "paper", "--steps", 2)  # a quick run
+FEW = ("--move", "shape")  # a quick run
 
 
 @pytest.fixture

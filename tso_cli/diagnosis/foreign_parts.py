@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..evaluation.footprint import footprint, nearest_cell
+from ..evaluation.footprint import footprint
 from ..geometry.arrays import Array, Bits, Box
-from ..geometry.resampling import area_resize
+from ..geometry.resampling import area_resize, nearest_cell
 from ..geometry.view import View
 from ..pose.causes import EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING, SIMILAR
 from ..pose.move import Body, Move

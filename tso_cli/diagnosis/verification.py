@@ -18,7 +18,7 @@ from .findings import Finding
 # misses as given. In 30 thin objects and 43 clouds of other shapes, rightly given, hypotheses that
 # silhouettes suggest leave over 0.9; three quarters of the true ones leave less.
 LEFT = 0.88
-# So is another order of the masks, of which there are many: 93 % of exchanged masks leave less.
+# There are many other orders of the masks, so one must leave less: 93 % of exchanged masks do.
 LEFT_OF_ORDER = 0.8
 
 

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..geometry.arrays import Array, Bits, Box
 from ..geometry.camera import Camera
 from ..geometry.points import longest_side, quantile
+from ..geometry.resampling import nearest_cell
 from ..geometry.view import View
 from ..geometry.window import window_of
 from .metrics import iou
@@ -209,24 +209,3 @@ def footprint(points: Array, camera: Camera) -> Bits:
         top - low[1] : bottom - low[1], left - low[0] : right - low[0]
     ]
     return silhouette
-
-
-def nearest_cell(cells: Bits, within: int) -> NDArray[np.signedinteger]:
-    """Flat index [H, W] of the nearest of ``cells`` [H, W].
-
-    It is -1 where no cell is ``within`` this many rows and columns.
-    """
-    bits = cells.size.bit_length()
-    # Squared distance and index in one integer, so that a minimum finds both.
-    kind = np.int32 if (2 * within**2).bit_length() + bits < 30 else np.int64
-    none = np.iinfo(kind).max // 2
-    least = np.full(cells.shape, none, dtype=kind)
-    least[cells] = np.flatnonzero(cells)
-    for _ in range(2):
-        least = np.ascontiguousarray(least.T)
-        start = least.copy()
-        for step in range(1, within + 1):
-            farther = start + kind(step * step << bits)
-            np.minimum(least[step:], farther[:-step], out=least[step:])
-            np.minimum(least[:-step], farther[step:], out=least[:-step])
-    return np.where(least < none, least & ((1 << bits) - 1), -1)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .arrays import Floats
+from .arrays import Array, Bits, Floats
+from .resampling import blurred, nearest_cell
 from .view import View
 
 # Into how many cells a pixel is divided along each side, and the deviation of the blur that rounds
@@ -25,8 +26,6 @@ def shrunk(view: View, pixels: float) -> View:
     The outline lies between pixels, so that the mask has soft values. A change that nothing could
     resolve is not made.
     """
-    from scipy.ndimage import distance_transform_edt, gaussian_filter
-
     left, top, right, bottom = view.pixels_of_object
     if abs(pixels) < max(LEAST_PIXELS, LEAST_SHARE * max(right - left, bottom - top)):
         return view
@@ -37,8 +36,9 @@ def shrunk(view: View, pixels: float) -> View:
     # Beyond the border of the picture the object goes on as at the border.
     around = FINE * margin
     inside = np.pad(np.kron(part, np.ones((FINE, FINE))) > 0.5, around, mode="edge")
-    outward = distance_transform_edt(~inside) - distance_transform_edt(inside)
-    outward = gaussian_filter(outward, BLUR)[around:-around, around:-around]
+    reach = int(np.ceil(FINE * (abs(pixels) / MOST_SHARE + 1.0)))
+    outward = blurred(_distance(inside, reach) - _distance(~inside, reach), BLUR)
+    outward = outward[around:-around, around:-around]
     pixels = min(pixels, -MOST_SHARE * float(outward.min()) / FINE)
     fine = np.clip(0.5 - outward - FINE * pixels, 0.0, 1.0)
     mask: Floats = view.mask.copy()
@@ -47,3 +47,12 @@ def shrunk(view: View, pixels: float) -> View:
     if not (known > 0.5).any() or (known > 0.5).all():
         return view
     return replace(view, mask=mask)
+
+
+def _distance(cells: Bits, reach: int) -> Array:
+    """The distance [H, W] of each cell to the nearest of ``cells``, at most ``reach``."""
+    index = nearest_cell(cells, reach)
+    row, column = np.indices(cells.shape)
+    nearest_row, nearest_column = np.divmod(index, cells.shape[1])
+    distance = np.hypot(nearest_row - row, nearest_column - column)
+    return np.where(index < 0, reach, np.minimum(distance, reach))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .arrays import Array, Box
+from .arrays import Array, Bits, Box
 
 
 def _overlaps(start: float, stop: float, cells: int, pixels: range, least: float = 0.0) -> Array:
@@ -111,3 +111,35 @@ def nearest_resize(array: Array, box: Box, cells: int) -> Array:
     return np.where(
         in_image, array[rows.clip(0, height - 1)[:, None], columns.clip(0, width - 1)], np.nan
     )
+
+
+def blurred(mask: Array, deviation: float) -> Array:
+    """A mask [S, S] after a Gaussian blur; beyond its border it goes on as at the border."""
+    reach = 2
+    weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / deviation))
+    blurred: Array = np.pad(mask, reach, mode="edge")
+    for axis in (0, 1):
+        parts = np.lib.stride_tricks.sliding_window_view(blurred, len(weights), axis)
+        blurred = parts @ (weights / weights.sum())
+    return blurred
+
+
+def nearest_cell(cells: Bits, within: int) -> NDArray[np.signedinteger]:
+    """Flat index [H, W] of the nearest of ``cells`` [H, W].
+
+    It is -1 where no cell is ``within`` this many rows and columns.
+    """
+    bits = cells.size.bit_length()
+    # Squared distance and index in one integer, so that a minimum finds both.
+    kind = np.int32 if (2 * within**2).bit_length() + bits < 30 else np.int64
+    none = np.iinfo(kind).max // 2
+    least = np.full(cells.shape, none, dtype=kind)
+    least[cells] = np.flatnonzero(cells)
+    for _ in range(2):
+        least = np.ascontiguousarray(least.T)
+        start = least.copy()
+        for step in range(1, within + 1):
+            farther = start + kind(step * step << bits)
+            np.minimum(least[step:], farther[:-step], out=least[step:])
+            np.minimum(least[:-step], farther[step:], out=least[:-step])
+    return np.where(least < none, least & ((1 << bits) - 1), -1)

@@ -178,7 +178,7 @@ class View:
     def outline_error(self) -> float:
         """How exactly the mask shows where its outline is, a standard deviation in pixels.
 
-        A blurred mask is less exact than its pixels. The steepest quarter of the outline tells the
+        A blurred mask is less exact than its pixels. The steepest quarter of the outline shows the
         blur, since a pixel that the outline crosses makes a sharp mask less steep too.
         """
         if self.mask_error is not None:

@@ -48,10 +48,10 @@ DEVIATIONS[PRINCIPAL] = 0.08
 DEVIATIONS[GROWTH] = 3.0
 # Steps of each descent; a search that looks promising has more.
 FEW_STEPS = 8
-# Smaller errors of a camera or a mask are those of a right one: pixels by which the contour moves,
-# logarithms, longer sides of the picture. They may explain a misfit, but then the shape is nearly
-# right too.
-LEAST_PIXELS, LEAST_FACTOR, LEAST_SHIFT = 0.75, 0.03, 0.02
+# Smaller errors of a camera or a mask are those of a right one: outline errors by which the contour
+# moves, logarithms, longer sides of the picture. They may explain a misfit, but then the shape is
+# nearly right too.
+LEAST_ERRORS, LEAST_FACTOR, LEAST_SHIFT = 1.5, 0.03, 0.02
 # What of the contours an unknown must explain: with six more unknowns a cloud of a right shape and
 # place misses about six times as much less.
 PRICE = 0.01
@@ -71,8 +71,8 @@ class Cause:
     """Something that may be wrong.
 
     unknowns : how many numbers were fitted. missed : share of the contours that the cloud misses if
-    this is mended. placement : how cloud, cameras and masks are then. across : longer side of the
-    object, pixels of the mask.
+    this is mended. placement : how cloud, cameras and masks are then. across, error : longer side
+    of the object, and how exactly masks show outlines, pixels.
     """
 
     name: Name
@@ -80,6 +80,7 @@ class Cause:
     missed: float
     placement: Placements
     across: float
+    error: float
 
     @property
     def cost(self) -> float:
@@ -101,13 +102,13 @@ class Cause:
         """Whether a right camera or mask may be as far off."""
         change = self.change
         if self.name == "outline":
-            return bool(abs(change[GROWTH]) < LEAST_PIXELS)
+            return bool(abs(change[GROWTH]) < LEAST_ERRORS * self.error)
         if self.name == "principal-point":
             return bool(np.linalg.norm(change[PRINCIPAL]) < LEAST_SHIFT)
         if self.of_place or self.name == "stretch":
             return False
         factor = abs(change[FOCAL if self.name == "focal-length" else ASPECT])
-        return bool(factor < LEAST_FACTOR or factor * self.across / 2.0 < LEAST_PIXELS)
+        return bool(factor < LEAST_FACTOR or factor * self.across / 2.0 < LEAST_ERRORS * self.error)
 
 
 def find_move(
@@ -229,8 +230,9 @@ def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[
     placements = _descended(comparison, placements, freedom)
     missed = comparison.missed(placements)
     across = max(SIDE / MARGIN / target.pixel for target in comparison.targets)
+    error = float(np.mean([view.outline_error for view in problem.views]))
     causes = [
-        Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1], across)
+        Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1], across, error)
         for i, name in enumerate(bases)
     ]
     pose = next((cause for cause in causes if cause.name == "pose"), None)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..geometry.arrays import Array, Indices
 from ..geometry.points import scattered
+from ..geometry.resampling import blurred
 from .levenberg import System
 from .placement import GROWTH, UNKNOWNS, Placements
 from .target import Target
@@ -77,17 +78,6 @@ def _nearest_points(cells: Array, px: Array) -> Indices:
     return np.asarray(squared.argmin(1))
 
 
-def _blurred(mask: Array, deviation: float) -> Array:
-    """A mask [S, S] after a Gaussian blur; beyond its border it goes on as at the border."""
-    reach = 2
-    weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / deviation))
-    blurred: Array = np.pad(mask, reach, mode="edge")
-    for axis in (0, 1):
-        parts = np.lib.stride_tricks.sliding_window_view(blurred, len(weights), axis)
-        blurred = parts @ (weights / weights.sum())
-    return blurred
-
-
 def share_missed(placement: Indices, gap: Array, J: Array, count: int, pieces: int) -> System:
     """The sum over ``pieces``. A gap ``g`` counts as g^2 / (1 + g^2), a piece without one as 1.
 
@@ -120,11 +110,11 @@ class Contour:
 
     @classmethod
     def of(cls, target: Target) -> Contour:
-        smooth = _blurred(target.mask, cls.BLUR)
+        smooth = blurred(target.mask, cls.BLUR)
         if not target.known.all():
             # Means over what is known: the object does not end where the knowledge ends.
-            share = _blurred(np.float64(target.known), cls.BLUR)
-            smooth = _blurred(target.mask * target.known, cls.BLUR) / np.maximum(share, 1e-9)
+            share = blurred(np.float64(target.known), cls.BLUR)
+            smooth = blurred(target.mask * target.known, cls.BLUR) / np.maximum(share, 1e-9)
         down, right = (np.gradient(smooth, axis=axis) for axis in (0, 1))
         level = 0.5 * target.mask.max()
         samples = []
