@@ -114,11 +114,10 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
             rest = points[~(with_base.holds(points) | left)]
             if _missed(rest, some) < min(FITS_NEARLY, _missed(above, some)):
                 ground = with_base
-    found = LeftOut(targets, ground)
-    rest = points[~found.holds(points)]
+    rest = points[~(left if ground is None else left | ground.holds(points))]
     far = 2 * _left_out(points, targets, FAR).sum() >= left.sum()
     if far and longest_side(rest) > 0.0 and _missed(rest, some) < FITS:
-        return found
+        return LeftOut(targets, ground)
     return None if ground is None else LeftOut((), ground)
 
 

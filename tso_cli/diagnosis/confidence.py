@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry.arrays import Array
+from ..geometry.points import root_mean_square
 from ..losses.mask_chamfer import REFERENCE_SIDE
 from ..optimisation.learned_start import Beginning
 from ..optimisation.problem import Problem
@@ -56,7 +57,7 @@ def features_of(
     if begun is not None and begun.sureness is not None:
         of_prior["prior: sureness"] = begun.sureness
     return {
-        "motion: across": _log(_root_mean_square(across)),
+        "motion: across": _log(root_mean_square(across)),
         "camera: not similar": _not_similar(start, start + moved),
         "motion: shift": _log(float(np.linalg.norm(moved.mean(0)))),
         **of_prior,
@@ -75,10 +76,6 @@ def _outline_error(problem: Problem) -> float:
         cells = windowed.view.outline_error * camera.width / (right - left)
         errors.append(cells * REFERENCE_SIDE / (windowed.resampled.magnification * camera.width))
     return float(np.mean(errors) / np.sqrt(len(errors)))
-
-
-def _root_mean_square(vectors: Array) -> float:
-    return float(np.sqrt(np.square(vectors).sum(1).mean()))
 
 
 def _not_similar(start: Array, best: Array) -> float:

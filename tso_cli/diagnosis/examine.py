@@ -41,7 +41,7 @@ class Diagnosis:
     of_views : what may be wrong with single views.
     weak : alternatives that only the contours can confirm.
     notes : what is worth reading before a result is used.
-    hidden : by number of the view, the pixels [H, W] that something in front of the object hides.
+    hidden : by number of the view, the pixels [H, W] around parts that mask or cloud lack.
     explanation : None in the network modes, which place their cloud themselves.
     outvoted : whether the suspicious views are few, so that the others outvote them.
     fits : whether the cloud fits the contours of the masks, and of what they show of the object.
@@ -181,7 +181,7 @@ def _with_explanation(
         diagnosis,
         of_input=found.of_input,
         of_views=of_views,
-        weak=() if diagnosis.hidden else found.weak,
+        weak=found.weak,
         explanation=found,
         outvoted=bool(of_views)
         and len(boxes) >= FEWEST_VIEWS_TO_OUTVOTE

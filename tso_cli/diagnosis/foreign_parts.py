@@ -13,7 +13,7 @@ import numpy as np
 
 from ..evaluation.footprint import footprint
 from ..geometry.arrays import Array, Bits, Box
-from ..geometry.resampling import area_resize, nearest_cell
+from ..geometry.resampling import area_resize, distance_to_nearest
 from ..geometry.view import View
 from ..pose.causes import EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING, SIMILAR
 from ..pose.move import Body, Move
@@ -127,11 +127,7 @@ def _large_parts(cells: Bits, least: float) -> Bits:
 
 def _dilated(cells: Bits, radius: float) -> Bits:
     """The cells [C, C] within a ``radius``, in cells, of some of the ``cells``."""
-    index = nearest_cell(cells, int(np.ceil(radius)))
-    row, column = np.indices(cells.shape)
-    nearest_row, nearest_column = np.divmod(index, cells.shape[1])
-    squared = (nearest_row - row) ** 2 + (nearest_column - column) ** 2
-    return np.asarray((index >= 0) & (squared <= radius**2))
+    return np.asarray(distance_to_nearest(cells, int(np.ceil(radius))) <= radius)
 
 
 def _in_pixels(cells: Bits, box: Box, view: View) -> tuple[Bits, Bits]:

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .arrays import Array, Bits, Floats
-from .resampling import blurred, nearest_cell
+from .arrays import Floats
+from .resampling import blurred, distance_to_nearest
 from .view import View
 
 # Into how many cells a pixel is divided along each side, and the deviation of the blur that rounds
@@ -37,7 +37,8 @@ def shrunk(view: View, pixels: float) -> View:
     around = FINE * margin
     inside = np.pad(np.kron(part, np.ones((FINE, FINE))) > 0.5, around, mode="edge")
     reach = int(np.ceil(FINE * (abs(pixels) / MOST_SHARE + 1.0)))
-    outward = blurred(_distance(inside, reach) - _distance(~inside, reach), BLUR)
+    out, into = (np.minimum(distance_to_nearest(some, reach), reach) for some in (inside, ~inside))
+    outward = blurred(out - into, BLUR)
     outward = outward[around:-around, around:-around]
     pixels = min(pixels, -MOST_SHARE * float(outward.min()) / FINE)
     fine = np.clip(0.5 - outward - FINE * pixels, 0.0, 1.0)
@@ -47,12 +48,3 @@ def shrunk(view: View, pixels: float) -> View:
     if not (known > 0.5).any() or (known > 0.5).all():
         return view
     return replace(view, mask=mask)
-
-
-def _distance(cells: Bits, reach: int) -> Array:
-    """The distance [H, W] of each cell to the nearest of ``cells``, at most ``reach``."""
-    index = nearest_cell(cells, reach)
-    row, column = np.indices(cells.shape)
-    nearest_row, nearest_column = np.divmod(index, cells.shape[1])
-    distance = np.hypot(nearest_row - row, nearest_column - column)
-    return np.where(index < 0, reach, np.minimum(distance, reach))

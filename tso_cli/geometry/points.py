@@ -118,6 +118,11 @@ def spread_subset(points: ArrayLike, count: int) -> Indices:
     return candidates[farthest_point_sample(array[candidates], min(count, len(candidates)))]
 
 
+def root_mean_square(vectors: Array) -> float:
+    """Of the lengths of ``vectors`` [N, D]."""
+    return float(np.sqrt(np.square(vectors).sum(1).mean()))
+
+
 def bounds(points: Array) -> tuple[Array, Array]:
     """[D] least and largest coordinates of points [N, D]."""
     # Contiguous axes take a tenth of the time.

@@ -117,11 +117,11 @@ def blurred(mask: Array, deviation: float) -> Array:
     """A mask [S, S] after a Gaussian blur; beyond its border it goes on as at the border."""
     reach = 2
     weights = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) / deviation))
-    blurred: Array = np.pad(mask, reach, mode="edge")
+    smooth: Array = np.pad(mask, reach, mode="edge")
     for axis in (0, 1):
-        parts = np.lib.stride_tricks.sliding_window_view(blurred, len(weights), axis)
-        blurred = parts @ (weights / weights.sum())
-    return blurred
+        parts = np.lib.stride_tricks.sliding_window_view(smooth, len(weights), axis)
+        smooth = parts @ (weights / weights.sum())
+    return smooth
 
 
 def nearest_cell(cells: Bits, within: int) -> NDArray[np.signedinteger]:
@@ -143,3 +143,15 @@ def nearest_cell(cells: Bits, within: int) -> NDArray[np.signedinteger]:
             np.minimum(least[step:], farther[:-step], out=least[step:])
             np.minimum(least[:-step], farther[step:], out=least[:-step])
     return np.where(least < none, least & ((1 << bits) - 1), -1)
+
+
+def distance_to_nearest(cells: Bits, within: int) -> Array:
+    """The distance [H, W] of each cell to the nearest of ``cells`` [H, W], in cells.
+
+    It is infinite where none is ``within`` this many rows and columns.
+    """
+    index = nearest_cell(cells, within)
+    row, column = np.indices(cells.shape)
+    nearest_row, nearest_column = np.divmod(index, cells.shape[1])
+    distance = np.hypot(nearest_row - row, nearest_column - column)
+    return np.where(index < 0, np.inf, distance)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.arrays import Array
+from ..geometry.points import root_mean_square
 from ..losses.projection import project_differentiably
 from ..prior import Frame, LearnedPrior, SeenCloud, Shown
 from .objective import ViewTargets
@@ -54,7 +55,7 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
     if answer is None:
         return Beginning(start)
     first, observed = answer, _observed(start, targets)
-    asked = float(np.sqrt(np.square(observed * first.displacements).sum(1).mean())) / frame.scale
+    asked = root_mean_square(observed * first.displacements) / frame.scale
     # A start that the masks find right may be wrong by a depth map or a photo.
     if asked < RIGHT and problem.masks_alone:
         return Beginning(start, True, first.sureness)

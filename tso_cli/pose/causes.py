@@ -230,7 +230,7 @@ def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[
     placements = _descended(comparison, placements, freedom)
     missed = comparison.missed(placements)
     across = max(SIDE / MARGIN / target.pixel for target in comparison.targets)
-    error = float(np.mean([view.outline_error for view in problem.views]))
+    error = problem.outline_error
     causes = [
         Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1], across, error)
         for i, name in enumerate(bases)

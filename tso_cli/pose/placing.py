@@ -163,10 +163,15 @@ class Placing:
         return self.move(kind, Found(placement, given, missed), self.freedom(kind, keep)[1])
 
     @property
+    def outline_error(self) -> float:
+        """How exactly the masks show outlines, pixels: the mean of all views."""
+        return float(np.mean([view.outline_error for view in self.views]))
+
+    @property
     def stretch(self) -> Freedom:
         """The cloud may stretch along any axes, and shift; the masks may be inexact."""
         deviation = GIVEN_ERROR.copy()
-        deviation[GROWTH] = np.mean([view.outline_error for view in self.views])
+        deviation[GROWTH] = self.outline_error
         free = STRETCH, SIZE, SHIFT, GROWTH
         return Freedom.of(Placements.unmoved(), *free, deviation=deviation)
 

@@ -17,7 +17,7 @@ from ..diagnosis.trust import LEAST_OVERLAP, NO_REASON, Facts, Trust, Why, trust
 from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
 from ..geometry.arrays import Array
-from ..geometry.points import CANDIDATES, scattered
+from ..geometry.points import CANDIDATES, root_mean_square, scattered
 from ..geometry.view import View
 from ..losses.chamfer import ChamferToStart
 from ..optimisation.loop import Optimised
@@ -191,10 +191,9 @@ def _facts(
 ) -> tuple[Facts, dict[str, float]]:
     """What is known of a displaced cloud, and the features of its confidence."""
     cloud = problem.cloud
-    before, after = (
-        missed_by(Body(points, cloud.centre, cloud.scale), problem.views)
-        for points in (cloud.measured, moved.measured)
-    )
+    before = after = missed_by(Body(cloud.measured, cloud.centre, cloud.scale), problem.views)
+    if improved:
+        after = missed_by(Body(moved.measured, cloud.centre, cloud.scale), problem.views)
     features = features_of(problem, displacements, optimised.begun, diagnosis, (before, after))
     confidence, group = confidence_of(features)
     far = move.apply(moved.points) - cloud.source.points
@@ -206,7 +205,7 @@ def _facts(
         placed,
         asked,
         explains=move.explains,
-        far=float(np.sqrt(np.square(far).sum(1).mean())) / cloud.scale,
+        far=root_mean_square(far) / cloud.scale,
         missed=(move.missed_before if placed else before, after),
         overlap=(overlap[0], overlap[1]),
         confidence=confidence,

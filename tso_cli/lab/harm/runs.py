@@ -6,12 +6,10 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-
 from ...errors import InputError, TsoError
 from ...evaluation.metrics import chamfer
 from ...geometry.arrays import Array
-from ...geometry.points import longest_side
+from ...geometry.points import longest_side, root_mean_square
 from ...refinement import RefineConfig, RefineResult, refine
 from ..interrupts import uninterrupted
 from ..studies.summary import rounded
@@ -78,7 +76,7 @@ def run_row(scene: Scene | InputError, config: RefineConfig) -> Record:
     row: Record = {
         "ratio": distance(result.points, scene) / before,
         "before": before,
-        "moved": float(np.sqrt(np.square(moved).sum(1).mean())) / own_size(scene),
+        "moved": root_mean_square(moved) / own_size(scene),
         "verdict": result.trust.verdict,
         "confidence": result.trust.confidence,
         "outcome": result.fit.outcome,
