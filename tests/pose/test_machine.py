@@ -155,7 +155,7 @@ def test_a_wrong_shape_stays_nearer_to_where_it_was_given_than_without_a_prior()
 def test_half_of_the_points_miss_more_and_what_infinitely_many_would_miss_is_near_nothing():
     comparison, at = Comparison.of(PLANE.target, [PLANE.view]), Placements.unmoved()
     whole, half = (
-        comparison.contour(0.6, comparison.points[:count])(at).value[0]
+        replace(comparison, points=comparison.points[:count]).contour(0.6)(at).value[0]
         for count in (len(PLANE.target), len(PLANE.target) // 2)
     )
     assert half > whole > comparison.missed(at)[0]

@@ -140,7 +140,7 @@ def _left_out(points: Array, targets: Sequence[Target], least: float = APART) ->
 
 
 def _missed(points: Array, views: Sequence[View]) -> float:
-    return missed_by(Body(points, *bounding_box_normalisation(points)), views)
+    return missed_by(Body(points, *bounding_box_normalisation(points)), views)[0]
 
 
 def _overlap(points: Array, views: Sequence[View]) -> float:

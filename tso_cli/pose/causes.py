@@ -33,6 +33,7 @@ from .search import (
     NEARER,
     PROMISING_UNASKED,
     SIDE,
+    STEPS,
     Comparison,
     search_from,
 )
@@ -46,8 +47,6 @@ DEVIATIONS = GIVEN_ERROR.copy()
 DEVIATIONS[[FOCAL, ASPECT]] = 0.12
 DEVIATIONS[PRINCIPAL] = 0.08
 DEVIATIONS[GROWTH] = 3.0
-# Steps of each descent; a search that looks promising has more.
-FEW_STEPS = 8
 # Smaller errors of a camera or a mask are those of a right one: outline errors by which the contour
 # moves, logarithms, longer sides of the picture. They may explain a misfit, but then the shape is
 # nearly right too.
@@ -176,7 +175,7 @@ def missed_if_stretched(body: Body, views: Sequence[View]) -> float:
 def _descended(comparison: Comparison, placements: Placements, freedom: Freedom) -> Placements:
     """The placements after short descents, drawn from afar and then nearer and nearer."""
     for scale in (FROM_AFAR, max(NEARER, comparison.outline), comparison.outline):
-        placements, _ = improve(placements, comparison.exact(scale), freedom, FEW_STEPS)
+        placements, _ = improve(placements, comparison.exact(scale), freedom, STEPS)
     return placements
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from .target import Target
 TOLERANCE = 0.5
 # Cells of the object that attract points; more tell no more.
 MOST_CELLS = 400
+# Where a contour is that nothing is known of: no point is near.
+FAR = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +106,6 @@ class Contour:
     normals: Array  # [C, 2] outward
     piece: Indices  # [C] the piece of each sample
     pieces: int
-    index: Indices  # [S, S] the nearest sample of each cell
 
     # Standard deviation of the blur that smooths the contour, and the length of a piece, in cells.
     BLUR, LENGTH = 0.4, 2.0
@@ -131,8 +133,7 @@ class Contour:
         where, row, column = where[known], row[known], column[known]
         if not len(where):
             # Nothing is known of the contour: a single piece that no point is near.
-            place, index = np.full((1, 2), np.inf), np.zeros(target.mask.shape, np.int64)
-            return cls(target, place, np.zeros((1, 2)), np.zeros(1, np.int64), 1, index)
+            return cls(target, np.full((1, 2), FAR), np.zeros((1, 2)), np.zeros(1, np.int64), 1)
         slope = np.stack([right[row, column], down[row, column]], 1)
         normals = -slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9)
         # The two sides of a thin part are different pieces of one block of cells.
@@ -140,11 +141,15 @@ class Contour:
         side = (normals[:, 0] > 0.0) + 2 * (normals[:, 1] > 0.0)
         key = (block[:, 1] * target.side + block[:, 0]) * 4 + side
         names, piece = np.unique(key, return_inverse=True)
-        grid = np.indices(target.mask.shape)[::-1].reshape(2, -1).T.astype(np.float64)
-        nearest = (np.square(where).sum(1) - 2.0 * grid @ where.T).argmin(1)
-        return cls(
-            target, where, normals, piece.ravel(), len(names), nearest.reshape(target.mask.shape)
-        )
+        return cls(target, where, normals, piece.ravel(), len(names))
+
+    @cached_property
+    def index(self) -> Indices:
+        """[S, S], the nearest sample of each cell."""
+        shape, where = self.target.mask.shape, self.samples.astype(np.float32)
+        grid = np.indices(shape, np.float32)[::-1].reshape(2, -1).T
+        nearest = (np.square(where).sum(1) - grid @ (2.0 * where.T)).argmin(1)
+        return np.asarray(nearest.reshape(shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +171,7 @@ class ContourMisfit:
         system = System.empty(len(placements))
         for contour in self.contours:
             seen, pixel = contour.target.project(self.points, placements), contour.target.pixel
-            row, point, sample, gap = self._gaps(contour, seen.px)
+            row, point, sample, gap = self._near(contour, seen.px).first()
             gap = (gap - pixel * placements.growth[row]) / self.robust
             J = seen.jacobian(row, point, contour.normals[sample])
             J[:, GROWTH] = pixel
@@ -174,12 +179,27 @@ class ContourMisfit:
             system = system + share_missed(row, gap, J, len(placements), contour.pieces)
         return 1.0 / sum(contour.pieces for contour in self.contours) * system
 
-    def _gaps(self, contour: Contour, px: Array) -> tuple[Indices, Indices, Indices, Array]:
-        """For each placement and each piece that a point is near: the outermost point.
+    def missed(self, placements: Placements) -> Array:
+        """[P], the misfit of a cloud of infinitely many points.
 
-        Placement, point, sample and gap of each such pair, by placement. The gap is positive where
-        the point lies inside.
+        The edge of few points lies inside that of the object. What it misses falls about as 1 / N,
+        so that halves of the points tell what remains.
         """
+        missed, half = np.zeros(len(placements)), len(self.points) // 2
+        for contour in self.contours:
+            px = contour.target.project(self.points, placements).px
+            parts = px[:, :half], px[:, half:]
+            of_halves = [self._near(contour, part).outermost for part in parts]
+            weighed = (np.minimum(*of_halves), 2.0), (of_halves[0], -0.5), (of_halves[1], -0.5)
+            grown = contour.target.pixel * placements.growth[:, None]
+            for gap, weight in weighed:
+                squared = np.square((gap - grown) / self.robust)
+                missed += weight * (1.0 - 1.0 / (1.0 + squared)).sum(1)
+        share: Array = missed / sum(contour.pieces for contour in self.contours)
+        return np.clip(share, 0.0, 1.0)
+
+    def _near(self, contour: Contour, px: Array) -> _Near:
+        """The points near a contour, of ``px`` [P, N, 2]."""
         row, column, _ = contour.target.at(px)
         sample = contour.index[row, column]
         inward = contour.samples[sample] - px
@@ -188,7 +208,31 @@ class ContourMisfit:
         gap = (inward.reshape(-1, 2)[near] * contour.normals[sample]).sum(1)
         placement, point = np.divmod(near, px.shape[1])
         piece = placement * contour.pieces + contour.piece[sample]
-        # One key sorts by piece, then by gap, which is within the reach.
-        order = np.argsort(piece + (gap / self.reach + 1.0) / 2.1)
-        first = order[np.flatnonzero(np.diff(piece[order], prepend=-1))]
-        return placement[first], point[first], sample[first], gap[first]
+        outermost = np.full(len(px) * contour.pieces, np.inf)
+        np.minimum.at(outermost, piece, gap)
+        return _Near(
+            placement, point, sample, gap, piece, outermost.reshape(len(px), contour.pieces)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """The K points near a contour, by placement, and the least gap of each piece.
+
+    gap : [K], along the normal; positive where the point lies inside. piece : [K], counted on
+    through all placements. outermost : [P, pieces], infinite where no point is near.
+    """
+
+    placement: Indices
+    point: Indices
+    sample: Indices
+    gap: Array
+    piece: Indices
+    outermost: Array
+
+    def first(self) -> tuple[Indices, Indices, Indices, Array]:
+        """Placement, point, sample and gap of the outermost point of each piece, by placement."""
+        (first,) = np.nonzero(self.gap == self.outermost.ravel()[self.piece])
+        # Of points in one place, one counts.
+        first = first[np.unique(self.piece[first], return_index=True)[1]]
+        return self.placement[first], self.point[first], self.sample[first], self.gap[first]

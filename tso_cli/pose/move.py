@@ -120,3 +120,8 @@ class Body:
     points: Array
     centre: Array
     scale: float
+
+    def normalise(self, points: Array) -> Array:
+        """``points`` [N, 3], normalised as those of the cloud."""
+        normalised: Array = (points - self.centre) / self.scale
+        return normalised

@@ -45,10 +45,14 @@ LEAST_OVERLAP = 0.1
 OTHER_UNITS = 5.0
 
 
-def missed_by(body: Body, views: Sequence[View]) -> float:
-    """The share of the contours that a cloud misses where it is."""
-    comparison = Placing(body, tuple(views)).comparison
-    return float(comparison.missed(Placements.unmoved())[0])
+def missed_by(body: Body, views: Sequence[View], *others: Array) -> list[float]:
+    """The share of the contours that a cloud misses where it is.
+
+    And with ``others`` [N, 3] in place of its points.
+    """
+    problem, at = Placing(body, tuple(views)), Placements.unmoved()
+    clouds = (problem.points, *map(body.normalise, others))
+    return [float(problem.comparison.of_cloud(points).missed(at)[0]) for points in clouds]
 
 
 def missed_of_depth(body: Body, views: Sequence[View]) -> float:
@@ -113,7 +117,7 @@ class Placing:
         """
         self.body, self.views = body, views
         self.unit = body.scale if unit is None else unit
-        self.points = (body.points - body.centre) / body.scale
+        self.points = body.normalise(body.points)
         to_file = np.eye(3), body.centre, self.unit
         some = some_views(views, MOST_VIEWS)
         self.normalised = tuple(view.before_placed(*to_file) for view in some)

@@ -97,7 +97,8 @@ def _by_unknowns(by_point: Array, arm: Array) -> Array:
     J[..., 0], J[..., 1], J[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
     J[..., SHIFT] = by_point
     J[..., SIZE] = (by_point * arm).sum(-1)
-    J[..., STRETCH] = np.einsum("...i,kij,...j->...k", by_point, STRAINS, arm)
+    by_pair = (by_point[..., None] * arm[..., None, :]).reshape(*J.shape[:-1], 9)
+    J[..., STRETCH] = by_pair @ STRAINS.reshape(-1, 9).T
     return J
 
 

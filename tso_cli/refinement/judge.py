@@ -25,7 +25,7 @@ from ..optimisation.optimise import WeighedProblem
 from ..optimisation.presets import FEWEST_CONTROL_POINTS
 from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
-from ..pose.move import Body, Move
+from ..pose.move import Move
 from ..pose.placing import missed_by
 from .decisions import decisions
 from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
@@ -191,9 +191,7 @@ def _facts(
 ) -> tuple[Facts, dict[str, float]]:
     """What is known of a displaced cloud, and the features of its confidence."""
     cloud = problem.cloud
-    before = after = missed_by(Body(cloud.measured, cloud.centre, cloud.scale), problem.views)
-    if improved:
-        after = missed_by(Body(moved.measured, cloud.centre, cloud.scale), problem.views)
+    before, after = missed_by(cloud.body, problem.views, moved.measured)
     features = features_of(problem, displacements, optimised.begun, diagnosis, (before, after))
     confidence, group = confidence_of(features)
     far = move.apply(moved.points) - cloud.source.points
