@@ -16,6 +16,9 @@ from .depth_kind import FITTED, DepthKind
 
 # How exactly a mask shows where its outline is, in pixels: that of a mask with pixels of 0 and 1.
 OUTLINE_ERROR = 0.5
+# That of a mask that shows an object with so few pixels along its longer side, or fewer: its pixels
+# come from another grid, and are on or off by a rule of their own. In between it falls as 1 / side.
+COARSE_ERROR, COARSE_SIDE = 0.75, 24.0
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15
 
@@ -178,8 +181,9 @@ class View:
     def outline_error(self) -> float:
         """How exactly the mask shows where its outline is, a standard deviation in pixels.
 
-        A blurred mask is less exact than its pixels. The steepest quarter of the outline shows the
-        blur, since a pixel that the outline crosses makes a sharp mask less steep too.
+        A blurred mask is less exact than its pixels, and a coarse mask too. The steepest quarter of
+        the outline shows the blur, since a pixel that the outline crosses makes a sharp mask less
+        steep too.
         """
         if self.mask_error is not None:
             return self.mask_error
@@ -191,7 +195,9 @@ class View:
             steps.append(np.abs(values[1:][across] - values[:-1][across]))
         steepest = np.quantile(np.concatenate([*steps, [1.0]]), 0.75)
         # The slope of a step after a Gaussian blur.
-        return max(OUTLINE_ERROR, float(1.0 / (np.sqrt(2.0 * np.pi) * steepest)))
+        of_blur = float(1.0 / (np.sqrt(2.0 * np.pi) * steepest))
+        of_grid = COARSE_ERROR * min(1.0, COARSE_SIDE / max(right - left, bottom - top))
+        return max(OUTLINE_ERROR, of_blur, of_grid)
 
     @property
     def truncated(self) -> bool:

@@ -31,11 +31,9 @@ from .search import (
     FROM_AFAR,
     LEFT,
     NEARER,
-    PROMISING_UNASKED,
     SIDE,
     STEPS,
     Comparison,
-    search_from,
 )
 from .target import MARGIN
 
@@ -140,9 +138,6 @@ def find_likely_move(
     fitted = _fitted(problem, given, keep, may_move)
     rivals = [cause for cause in fitted if _explains(cause, given)]
     stretch = next(cause for cause in fitted if cause.name == "stretch")
-    if any(cause.of_place for cause in rivals):
-        # Pose and stretch are searched well only where it counts.
-        stretch = _searched(problem, stretch, problem.stretch)
     rivals = [cause for cause in rivals if _is_simpler(cause, stretch)]
     if not rivals:
         settled = given < FITS_NEARLY and stretch.missed > LEFT_WITHOUT_MOVING * given
@@ -225,55 +220,25 @@ def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[
     deviations[list(bases).index("stretch")] = problem.stretch.deviation
     freedom = Freedom(np.stack(padded), Placements.unmoved(), deviations)
     comparison = problem.comparison
-    placements = _nearer(problem, Placements.unmoved(len(bases)), freedom, list(bases))
-    placements = _descended(comparison, placements, freedom)
+    step = np.zeros((len(bases), UNKNOWNS))
+    if "principal-point" in bases:
+        # K of a crop is too far off for a descent from where it was given.
+        step[list(bases).index("principal-point"), PRINCIPAL] = _shift_of_boxes(problem)
+    placements = _descended(comparison, Placements.unmoved(len(bases)).stepped(step), freedom)
     missed = comparison.missed(placements)
     across = max(SIDE / MARGIN / target.pixel for target in comparison.targets)
     error = problem.outline_error
-    causes = [
+    return [
         Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1], across, error)
         for i, name in enumerate(bases)
     ]
-    pose = next((cause for cause in causes if cause.name == "pose"), None)
-    explained = any(_explains(c, 1.0) for c in causes if not c.of_place)
-    if pose is not None and not explained and pose.missed < PROMISING_UNASKED[0] * given:
-        causes[causes.index(pose)] = _searched(problem, pose, problem.freedom("pose", keep)[0])
-    return causes
 
 
-def _nearer(
-    problem: Placing, placements: Placements, freedom: Freedom, names: list[Name]
-) -> Placements:
-    """The placements, with cameras as the boxes of cloud and masks would have them, if nearer."""
-    step = np.zeros((len(placements), UNKNOWNS))
-    moved, zoomed = _by_boxes(problem)
-    for number, name in enumerate(names):
-        if name == "principal-point":
-            step[number, PRINCIPAL] = moved
-        if name == "focal-length":
-            step[number, FOCAL] = zoomed
-    stepped = placements.stepped(step)
-    misfit = problem.comparison.exact(FROM_AFAR)
-    nearer = misfit(stepped).value < misfit(placements).value
-    return placements.replaced(nearer, stepped[nearer])
-
-
-def _by_boxes(problem: Placing) -> tuple[Array, float]:
-    """By how much the masks are shifted against the cloud, in pictures, and larger (logarithm)."""
-    moved, zoomed = [], []
+def _shift_of_boxes(problem: Placing) -> Array:
+    """[2], the shift of the boxes of the masks against those of the cloud, in pictures."""
+    shifts = []
     for target in problem.comparison.targets:
         seen = target.project(problem.points, Placements.unmoved()).px[0]
-        (low, high), (first, last) = (
-            (places.min(0), places.max(0)) for places in (seen, target.cells)
-        )
-        moved.append((first + last - low - high) / 2.0 / target.picture)
-        zoomed.append(np.log((last - first).max() / max(float((high - low).max()), 1e-9)))
-    return np.mean(moved, 0), float(np.mean(zoomed))
-
-
-def _searched(problem: Placing, cause: Cause, freedom: Freedom) -> Cause:
-    """The cause, with less missed if a search from several starts leaves less."""
-    best = search_from(problem.comparison, freedom, PROMISING_UNASKED)
-    if best.missed >= cause.missed:
-        return cause
-    return replace(cause, missed=best.missed, placement=best.placement)
+        ends = target.cells.min(0) + target.cells.max(0) - seen.min(0) - seen.max(0)
+        shifts.append(ends / 2.0 / target.picture)
+    return np.mean(shifts, 0)

@@ -19,8 +19,7 @@ SCALES = [SIZE, FOCAL, *range(STRETCH.start, STRETCH.stop), ASPECT]
 INDEPENDENT = 30.0
 # What a misfit does not fall below: that of a cloud whose points lie within a cell.
 LEAST_MISFIT = 3e-3
-# A descent ends where a step gains less, in units of the posterior's logarithm. Descents that come
-# so near to each other found the same placement.
+# A descent ends where a step gains less, in units of the posterior's logarithm.
 ENOUGH = 0.1
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
@@ -14,7 +14,7 @@ from ..geometry.points import scattered
 from ..geometry.rotations import lattice
 from ..geometry.view import View
 from .depth import DepthMisfit, Surface
-from .levenberg import ENOUGH, Freedom, Misfit, improve
+from .levenberg import Freedom, Misfit, improve
 from .misfit import Contour, ContourMisfit, NearestMisfit
 from .placement import SIZE, TURN, UNKNOWNS, Placements
 from .target import Part, Target
@@ -41,11 +41,6 @@ EXPLAINED = 0.2
 LEFT = 0.3
 # The contours of a cloud that misses more than this do not tell where it is.
 TELLS_PLACE = 0.3
-# Further starts are tried where the first start leaves less than the first share, and those so far
-# less than the second one. The first starts leave 5 % of exact validation clouds more than 0.36,
-# and 5 % of other shapes less than 0.48. Where nobody asked for a move, a cloud of another shape
-# should cost little.
-PROMISING, PROMISING_UNASKED = (1.0, 0.6), (0.6, 0.45)
 # Of several placements, the best is sure if it explains the misfit, and every other one misses more
 # by at least this share of the contours.
 SURE_GAP = 0.1
@@ -172,34 +167,24 @@ class Found:
         return self.missed < min(EXPLAINED, LEFT * self.given)
 
 
-def search_from(
-    comparison: Comparison,
-    freedom: Freedom,
-    promising: tuple[float, float] = PROMISING,
-    start: Placements | None = None,
-) -> Found:
-    """The placement near ``start`` that misses the least of the contours.
+def search_from(comparison: Comparison, freedom: Freedom, start: Placements | None = None) -> Found:
+    """The placement near ``start`` that the posterior likes best.
 
     ``start`` is the given one by default, which the prior and `Found.given` are of in any case.
     """
-    missed_given = missed_start = float(comparison.missed(freedom.given)[0])
-    if start is None:
-        start = freedom.given
-    else:
-        missed_start = float(comparison.missed(start)[0])
-    best, least, enough = Found(start, missed_given, missed_start), np.inf, promising[0]
-    for starts in _stages(comparison, freedom, start):
-        placements, values = comparison.settled(starts, freedom)
-        first, *others = np.argsort(values)
-        rivals = np.append(values[others], least)
-        agree = bool(np.abs(rivals - values[first]).min() < ENOUGH)
-        if values[first] < least:
-            placement, least = placements[first : first + 1], values[first]
-            best = Found(placement, missed_given, float(comparison.missed(placement)[0]))
-        if (agree and best.missed < EXPLAINED) or best.missed > enough * missed_start:
-            break
-        enough = promising[1]
-    return best
+    start = freedom.given if start is None else start
+    step = np.zeros((1 + Nearby.TURNS, UNKNOWNS))
+    step[1:, TURN] = np.radians(Nearby.DEGREES) * lattice(Nearby.TURNS)
+    turned = start[np.zeros(len(step), np.int64)].stepped(step)
+    from_afar, values = improve(turned, comparison.exact(FROM_AFAR), freedom, STEPS)
+    by_cells, _ = improve(start, comparison.cells, freedom, STEPS)
+    starts = [start, from_afar[np.argsort(values)[: Nearby.KEPT]], by_cells]
+    if comparison.surfaces:
+        starts.append(comparison.at_depth(by_cells, freedom))
+    placements, values = comparison.settled(Placements.joined(starts), freedom)
+    best = placements[np.array([values.argmin()])]
+    given, missed = comparison.missed(Placements.joined([freedom.given, best]))
+    return Found(best, float(given), float(missed))
 
 
 def place_from(comparison: Comparison, freedom: Freedom) -> Found:
@@ -219,18 +204,3 @@ def place_from(comparison: Comparison, freedom: Freedom) -> Found:
         return found
     by_cells, _ = improve(freedom.given, comparison.cells, freedom, STEPS)
     return replace(found, placement=by_cells, missed=float(comparison.missed(by_cells)[0]))
-
-
-def _stages(comparison: Comparison, freedom: Freedom, given: Placements) -> Iterator[Placements]:
-    """Ever more starts: the given placement, as it approaches from afar; the same nearby."""
-    from_afar = comparison.exact(FROM_AFAR)
-    yield improve(given, from_afar, freedom, STEPS)[0]
-    by_cells, _ = improve(given, comparison.cells, freedom, STEPS)
-    of_depth = [comparison.at_depth(by_cells, freedom)] if comparison.surfaces else []
-    yield Placements.joined([given, by_cells, *of_depth])
-    step = np.zeros((Nearby.TURNS, UNKNOWNS))
-    step[:, TURN] = np.radians(Nearby.DEGREES) * lattice(Nearby.TURNS)
-    turned = given[np.zeros(Nearby.TURNS, np.int64)].stepped(step)
-    yield improve(turned, from_afar, freedom, STEPS)[0]
-    turned, values = improve(turned, comparison.cells, freedom, STEPS)
-    yield turned[np.argsort(values)[: Nearby.KEPT]]
