@@ -45,22 +45,33 @@ DEVIATIONS = GIVEN_ERROR.copy()
 DEVIATIONS[[FOCAL, ASPECT]] = 0.12
 DEVIATIONS[PRINCIPAL] = 0.08
 DEVIATIONS[GROWTH] = 3.0
-# Smaller errors of a camera or a mask are those of a right one: outline errors by which the contour
-# moves, logarithms, longer sides of the picture. They may explain a misfit, but then the shape is
-# nearly right too.
-LEAST_ERRORS, LEAST_FACTOR, LEAST_SHIFT = 1.5, 0.03, 0.02
+# Smaller errors of a camera or a mask are those of a right one: outline errors, and longer sides of
+# the object, by which the contour moves. They may explain a misfit, but then the shape is nearly
+# right too.
+LEAST_ERRORS, LEAST_MOVED = 1.5, 0.015
 # What of the contours an unknown must explain: with six more unknowns a cloud of a right shape and
 # place misses about six times as much less.
 PRICE = 0.01
 # Causes whose costs differ by less explain about as much.
 SIMILAR = 0.03
-# A camera or a mask explains a misfit if the cloud then misses less than these shares of the
-# contours, and of what it misses as given.
+# A camera explains a misfit if the cloud then misses less than these shares of the contours, and of
+# what it misses as given.
 EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING = 0.25, 0.5
 # Masks that are too large or too small explain a misfit if less than this share of it is left: the
 # growth is one number, and coarse masks hide much else. Of 188 clouds of another shape before right
 # masks it leaves none less; of exact clouds before masks grown by a pixel or two, two in three.
 LEFT_BY_OUTLINE = 0.7
+ENOUGH: dict[Name, tuple[float, float]] = {
+    "shift": (EXPLAINED, LEFT),
+    "pose": (EXPLAINED, LEFT),
+    "focal-length": (EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING),
+    "aspect": (EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING),
+    "principal-point": (EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING),
+    "outline": (1.0, LEFT_BY_OUTLINE),
+    # Another shape is what is left if nothing else explains the misfit.
+    "stretch": (0.0, 0.0),
+}
+"""What each cause must leave less of: of the contours, and of what the cloud misses as given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +79,8 @@ class Cause:
     """Something that may be wrong.
 
     unknowns : how many numbers were fitted. missed : share of the contours that the cloud misses if
-    this is mended. placement : how cloud, cameras and masks are then. across, error : longer side
-    of the object, and how exactly masks show outlines, pixels.
+    this is mended. placement : how cloud, cameras and masks are then. across, picture : longer
+    sides of the object and of the picture, pixels. error : how exactly masks show outlines, pixels.
     """
 
     name: Name
@@ -77,6 +88,7 @@ class Cause:
     missed: float
     placement: Placements
     across: float
+    picture: float
     error: float
 
     @property
@@ -97,15 +109,14 @@ class Cause:
     @property
     def is_small(self) -> bool:
         """Whether a right camera or mask may be as far off."""
-        change = self.change
-        if self.name == "outline":
-            return bool(abs(change[GROWTH]) < LEAST_ERRORS * self.error)
-        if self.name == "principal-point":
-            return bool(np.linalg.norm(change[PRINCIPAL]) < LEAST_SHIFT)
-        if self.of_place or self.name == "stretch":
+        if self.of_place:
             return False
-        factor = abs(change[FOCAL if self.name == "focal-length" else ASPECT])
-        return bool(factor < LEAST_FACTOR or factor * self.across / 2.0 < LEAST_ERRORS * self.error)
+        change = np.abs(self.change)
+        of_lens = float(change[FOCAL] + change[ASPECT]) * self.across / 2.0
+        of_camera = of_lens + float(np.linalg.norm(change[PRINCIPAL])) * self.picture
+        of_mask = float(change[GROWTH])
+        least = LEAST_ERRORS * self.error
+        return of_mask < least and of_camera < max(least, LEAST_MOVED * self.across)
 
 
 def find_move(
@@ -184,13 +195,7 @@ def _is_simpler(cause: Cause, stretch: Cause) -> bool:
 
 def _explains(cause: Cause, given: float) -> bool:
     """Whether nearly nothing is left of what the cloud misses as ``given``."""
-    if cause.name == "stretch":
-        return False
-    most, left = EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING
-    if cause.of_place:
-        most, left = EXPLAINED, LEFT
-    if cause.name == "outline":
-        most, left = 1.0, LEFT_BY_OUTLINE
+    most, left = ENOUGH[cause.name]
     likely = np.abs(cause.change / DEVIATIONS).max() <= MOST_DEVIATIONS
     return cause.missed < min(most, left * given) and bool(likely) and not cause.is_small
 
@@ -226,11 +231,11 @@ def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[
         step[list(bases).index("principal-point"), PRINCIPAL] = _shift_of_boxes(problem)
     placements = _descended(comparison, Placements.unmoved(len(bases)).stepped(step), freedom)
     missed = comparison.missed(placements)
-    across = max(SIDE / MARGIN / target.pixel for target in comparison.targets)
-    error = problem.outline_error
+    target = comparison.targets[0]
+    of_views = SIDE / MARGIN / target.pixel, target.picture / target.pixel, problem.outline_error
     return [
-        Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1], across, error)
-        for i, name in enumerate(bases)
+        Cause(name, basis.shape[1], float(missed[i]), placements[i : i + 1], *of_views)
+        for i, (name, basis) in enumerate(bases.items())
     ]
 
 
