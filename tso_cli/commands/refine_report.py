@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from ..diagnosis.best_view import BestView
 from ..evaluation.footprint import IOU_MEANS
 from ..geometry.camera import Camera
 from ..geometry.rotations import angle_between
@@ -51,8 +50,6 @@ CONVENTION = {
     "determined": "share of the motions of the points that masks and depth maps fix more firmly "
     "than a position prior; one mask alone fixes at most about two thirds; null except for the "
     "default preset in points mode",
-    "best_view": "where a further mask would determine most: degrees to the right of the first "
-    "camera and above it, around the object; null without --point-confidence",
     "moved": "whether anything moved: the shape, the cloud as one, or cameras",
     "transform": "4x4, x' = matrix x takes the cloud as it was given to where it moved as one, "
     "before its shape changed; the identity where nothing or a camera moved",
@@ -83,26 +80,6 @@ def objective_of(result: RefineResult) -> str:
     if settings.smooth:
         return "mask Chamfer loss; after each step, the position prior as well"
     return "mask Chamfer loss + position prior"
-
-
-def best_view_document(best: BestView) -> dict[str, Any]:
-    """For JSON."""
-    camera = {name: getattr(best.camera, name).tolist() for name in ("K", "R", "t")}
-    where = {"azimuth": best.azimuth, "elevation": best.elevation}
-    return {**where, **camera, "determined": best.determined}
-
-
-def words_of_best_view(best: BestView) -> str:
-    """Where the camera of a further mask would stand, as seen from the first one."""
-    aside, height = best.azimuth, best.elevation
-    parts = []
-    if abs(aside) == 180:
-        parts.append("behind")
-    elif aside:
-        parts.append(f"{abs(aside)} degrees to the {'right' if aside > 0 else 'left'}")
-    if height:
-        parts.append(f"{abs(height)} degrees {'above' if height > 0 else 'below'}")
-    return f"a mask from {' and '.join(parts)} would help most"
 
 
 @dataclass(frozen=True)
@@ -158,7 +135,6 @@ class RefineReport:
             **verdict_document(trust.confidence, trust.verdict, reason, warnings, suspects),
             "moved": result.moved,
             "determined": result.determined,
-            "best_view": result.best_view and best_view_document(result.best_view),
             **move_document(result.move),
             "alternatives": alternatives_of(self.scene.fitted, result.move),
             "decisions": document_of(result.cost.decisions),
@@ -270,12 +246,9 @@ class RefineReport:
         return [part for part in parts if part]
 
     def print_summary(self) -> None:
-        """`summary`, the view that would help most, and the other files."""
+        """`summary` and the other files."""
         for name, text in self.summary().items():
             click.echo(f"  {name:7}{text}" if name else text)
-        if best := self.result.best_view:
-            shares = f"{self.result.determined:.2f} to about {best.determined:.2f}"
-            click.echo(f"  next   {words_of_best_view(best)} (determined: {shares})")
         for path, content in (
             (self.outputs.overlay, "picture"),
             (self.outputs.report, "page"),

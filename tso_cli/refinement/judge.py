@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..cloud.cloud import MovedCloud
-from ..diagnosis.best_view import best_view
 from ..diagnosis.confidence import confidence_of, features_of
-from ..diagnosis.determined import Evidence
+from ..diagnosis.determined import all_blocks, shares_fixed
 from ..diagnosis.examine import Diagnosis
 from ..diagnosis.findings import Finding
 from ..diagnosis.trust import LEAST_OVERLAP, NO_REASON, Facts, Trust, Why, trust_of
@@ -112,16 +111,13 @@ def judge(
             given, problem.given, ending.ious, weights.inlier, weights.loss, strict=True
         )
     )
-    determined = confidence = further = None
+    determined = confidence = None
     if settings.smooth:
         at = cloud.start + moved.displacements
-        evidence = Evidence.of(at, problem, weights.loss)
-        of_points = evidence.confidence()
+        of_points = shares_fixed(at, all_blocks(at, problem, weights.loss))
         determined = float(of_points.mean())
         if settings.point_confidence:
             confidence = cloud.spread(of_points)
-            first, (centre,) = problem.given[0].resampled.camera, move.apply(cloud.centre[None])
-            further = best_view(evidence, first, views[0].camera, centre)
     return RefineResult(
         points=move.apply(moved.points),
         initial=cloud.source.points,
@@ -139,7 +135,6 @@ def judge(
         findings=(*diagnosis.findings, *_contradicted(weights.inlier)),
         determined=determined,
         point_confidence=confidence,
-        best_view=further,
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from ..diagnosis.best_view import BestView
 from ..diagnosis.findings import Finding
 from ..diagnosis.trust import Trust
 from ..geometry.arrays import Array, Bits, Box
@@ -120,7 +119,7 @@ class RefineResult:
     determined : in [0, 1], the share of the points' motions that masks and depth maps fix
         (`diagnosis/determined.py`). None for the preset "paper" and the network modes.
     point_confidence : [N] in [0, 1], the same for each of the ``points``; 0 for outliers.
-        best_view : whose mask would help most. Both are None unless `RefineConfig` asks for them.
+        None unless `RefineConfig` asks for it.
     """
 
     points: Array
@@ -139,7 +138,6 @@ class RefineResult:
     findings: tuple[Finding, ...] = ()
     determined: float | None = None
     point_confidence: Array | None = None
-    best_view: BestView | None = None
 
     @property
     def moved(self) -> bool:
