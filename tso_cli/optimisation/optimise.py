@@ -11,7 +11,6 @@ from ..geometry.arrays import Array, Indices
 from ..losses.chamfer import ChamferToStart
 from ..losses.nearest import nearest_few
 from ..losses.photometric import Photo, PhotometricTerm
-from .adam import Adam
 from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import PositionPrior, SilhouetteObjective
@@ -63,7 +62,7 @@ def optimise(
         objective = sum_of([problem.targets(weights).loss, PositionPrior(start, PRIOR_WEIGHT)])
     elif settings.gamma:
         objective = sum_of([objective, _Times(settings.gamma, ChamferToStart(start))])
-    parameters = network or PointParameters(start, Adam(rate))
+    parameters = network or PointParameters(start, rate)
     return minimise(parameters, objective, steps, on_progress)
 
 
@@ -90,7 +89,7 @@ def optimise_points(
     photos = _photometric(problem, weights, begin.points)
     agreement = sum_of([problem.targets(weights).loss, *photos])
     held = PositionPrior(begin.points, prior_weight)
-    parameters = PointParameters(begin.points, Adam(learning_rate))
+    parameters = PointParameters(begin.points, learning_rate)
     found = minimise(parameters, sum_of([agreement, held]), steps, on_progress)
     # Compared without the position prior, which may hold the cloud elsewhere than at its start.
     loss_at_start, loss_at_best = agreement(start)[0], agreement(found.best)[0]
