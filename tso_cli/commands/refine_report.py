@@ -40,7 +40,7 @@ CONVENTION = {
     "chamfer_to_initial": "squared distances of control points, mean over points, both directions "
     "summed, longest side 1",
     "iou": IOU_MEANS,
-    "trust": "of a view: 1, or less where the other views contradict it",
+    "trust": "weight of a view in the loss: 1, or less where the other views contradict it",
     "moving": "number of control points, which move by themselves: samples of a mesh's faces, or "
     "some points of a large cloud; all others follow them",
     "outliers": "points far from the rest, or that masks leave out, which stay where they are",
@@ -63,7 +63,6 @@ CONVENTION = {
     "optimisation, also where it was left, as a share of the object's size",
     "saving": "share of the work that was saved: of the masks' pixels, the points, the steps, the "
     "work that a mirror plane takes",
-    "weight": "of a view in the loss: its trust, divided among the views that show the same",
     "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null "
     "for none",
     "sigma_sq": "squared 64ths of the window (encoder modes: mask and IoU are of the 64x64 crop)",
@@ -163,7 +162,6 @@ class RefineReport:
                 "iou_before": fitted.iou_before,
                 "iou_after": fitted.iou_after,
                 "trust": fitted.inlier_weight,
-                "weight": fitted.loss_weight,
                 "window": fitted.window,
                 "cells": fitted.cells,
             }
@@ -345,7 +343,7 @@ class RefineReport:
         for view in result.views:
             click.echo(
                 f"  view   {view.iou_before:.3f} -> {view.iou_after:.3f}   inlier weight "
-                f"{view.inlier_weight:.2f}, loss weight {view.loss_weight:.2f}, {view.name}"
+                f"{view.inlier_weight:.2f}, {view.name}"
             )
         for given, _, degrees, shift in self.corrections if result.move.kind == "camera" else ():
             text = f"turned {degrees:.2f} degrees, shifted {100.0 * shift:.2f} % of its distance"

@@ -18,7 +18,7 @@ from .parameters import PointParameters
 from .presets import BEST_POINTS, PRIOR_WEIGHT
 from .problem import Problem
 from .settings import Settings
-from .view_weights import ViewWeights
+from .view_weights import weights_of
 
 # Points that move alike by a photo: the detail of one point alone fits many places.
 NEIGHBOURS = 12
@@ -29,16 +29,15 @@ class WeighedProblem:
     """A problem with the weights of the views that were given."""
 
     problem: Problem
-    weights: ViewWeights
+    weights: list[float]
 
 
 def weigh(problem: Problem, settings: Settings) -> WeighedProblem:
     """The weights of the given views, by their silhouettes of the start."""
-    weights = ViewWeights.even(len(problem.given))
-    if settings.preset == "best":
-        resampled = [windowed.resampled for windowed in problem.given]
-        weights = ViewWeights.of(resampled, problem.cloud.start)
-    return WeighedProblem(problem, weights)
+    if settings.preset == "paper":
+        return WeighedProblem(problem, [1.0] * len(problem.given))
+    resampled = [windowed.resampled for windowed in problem.given]
+    return WeighedProblem(problem, weights_of(resampled, problem.cloud.start))
 
 
 def optimise(
@@ -53,7 +52,7 @@ def optimise(
 
     The default preset in points mode begins at ``begin``, without it at the start.
     """
-    problem, weights, rate = weighed.problem, weighed.weights.loss, settings.learning_rate
+    problem, weights, rate = weighed.problem, weighed.weights, settings.learning_rate
     start = problem.cloud.start
     if settings.smooth:
         return optimise_points(problem, weights, steps, rate, begin, on_progress=on_progress)

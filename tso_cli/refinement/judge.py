@@ -102,19 +102,18 @@ def judge(
             camera=windowed.view.camera if move.kind == "camera" else view.camera,
             iou_before=before,
             iou_after=after,
-            inlier_weight=inlier,
-            loss_weight=loss,
+            inlier_weight=weight,
             window=windowed.resampled.box,
             cells=windowed.resampled.camera.width,
         )
-        for view, windowed, (before, after), inlier, loss in zip(
-            given, problem.given, ending.ious, weights.inlier, weights.loss, strict=True
+        for view, windowed, (before, after), weight in zip(
+            given, problem.given, ending.ious, weights, strict=True
         )
     )
     determined = confidence = None
     if settings.smooth:
         at = cloud.start + moved.displacements
-        of_points = shares_fixed(at, all_blocks(at, problem, weights.loss))
+        of_points = shares_fixed(at, all_blocks(at, problem, weights))
         determined = float(of_points.mean())
         if settings.point_confidence:
             confidence = cloud.spread(of_points)
@@ -132,7 +131,7 @@ def judge(
         symmetry=problem.symmetry,
         trust=ending.trust,
         cost=Cost(seconds, decisions(problem, settings, optimised)),
-        findings=(*diagnosis.findings, *_contradicted(weights.inlier)),
+        findings=(*diagnosis.findings, *_contradicted(weights)),
         determined=determined,
         point_confidence=confidence,
     )
@@ -157,7 +156,7 @@ def _ending(
     if kept and diagnosis.fits:
         kept = "fits"
     elif settings.smooth and problem.masks_alone:
-        kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights.loss) or kept
+        kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights) or kept
     start = cloud.moved(np.zeros_like(displacements))
     if kept:
         moved, displacements = start, np.zeros_like(displacements)
@@ -213,7 +212,7 @@ def _facts(
 def _outvoted(diagnosis: Diagnosis, weighed: WeighedProblem) -> Diagnosis:
     """The diagnosis; views that something is wrong with are outvoted only if they count little."""
     wrong = {view for finding in diagnosis.of_views for view in finding.views}
-    little = all(weighed.weights.inlier[view] < CONTRADICTED_WEIGHT for view in wrong)
+    little = all(weighed.weights[view] < CONTRADICTED_WEIGHT for view in wrong)
     return replace(diagnosis, outvoted=diagnosis.outvoted and little)
 
 

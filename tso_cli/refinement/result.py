@@ -74,8 +74,7 @@ class ViewFit:
 
     name : of the view. camera : as it is meant, or where it moved to.
     iou_before, iou_after : as in `Fit`.
-    inlier_weight : under 1 where the other views contradict the view. loss_weight : of its loss in
-        the objective: the inlier weight, divided among views of the same side.
+    inlier_weight : of its loss in the objective: under 1 where the other views contradict the view.
     window : left, top, right, bottom edges, px, of the window that the cloud was compared with at
         last. cells : along its side.
     """
@@ -85,7 +84,6 @@ class ViewFit:
     iou_before: float
     iou_after: float
     inlier_weight: float
-    loss_weight: float
     window: Box
     cells: int
 

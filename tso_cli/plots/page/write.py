@@ -353,14 +353,13 @@ def _table(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
 
 def _details(document: dict[str, Any], words: PageWords) -> str:
     views = _table(
-        ("view", "IoU before", "IoU after", "trust", "weight", "camera"),
+        ("view", "IoU before", "IoU after", "trust", "camera"),
         (
             (
                 view["mask"],
                 f"{view['iou_before']:.3f}",
                 f"{view['iou_after']:.3f}",
                 f"{view['trust']:.2f}",
-                f"{view['weight']:.2f}",
                 view["camera"]["source"],
             )
             for view in document["views"]
