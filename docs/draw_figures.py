@@ -102,7 +102,7 @@ def _moved_by_the_prior(initial: np.ndarray, view: View) -> np.ndarray:
     cloud = Cloud(initial, "initial").controlled(settings.points, (view,))
     weighed = weigh(prepare(cloud, (view,), settings), settings)
     prior = named_prior(settings.prior)
-    begun = beginning(weighed.problem, weighed.weights.loss, prior)
+    begun = beginning(weighed.problem, weighed.weights, prior)
     return cloud.denormalise(begun.points)
 
 

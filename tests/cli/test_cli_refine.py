@@ -143,7 +143,7 @@ def test_several_masks_of_their_own_sizes_and_cameras_refine_one_cloud_and_bring
     for key in ("iou_before", "iou_after"):
         assert document[key] == pytest.approx(np.mean([view[key] for view in document["views"]]))
     assert all(view["iou_after"] > view["iou_before"] for view in document["views"])
-    assert [view["weight"] for view in document["views"]] == pytest.approx([1.0, 1.0, 1.0], abs=0.2)
+    assert [view["trust"] for view in document["views"]] == pytest.approx([1.0, 1.0, 1.0], abs=0.2)
     with Image.open("out.png") as picture:
         assert picture.size[1] > 3 * 340
     refine(
@@ -224,7 +224,7 @@ def test_a_view_that_the_others_contradict_is_discounted_and_named(views, refine
     run = refine("initial.ply", *views, "--camera", "views.json", "-v", *PLAIN, "--steps", "48")
     assert "; little of side.png (contradicted by the others); " in run.out
     assert re.findall(r"warning: (\S+): the other views contradict it", run.err) == ["side.png"]
-    weights = [float(weight) for weight in re.findall(r"loss weight ([\d.]+), ", run.out)]
+    weights = [float(weight) for weight in re.findall(r"inlier weight ([\d.]+), ", run.out)]
     assert weights[1] < 0.2 < 0.8 < min(weights[0], weights[2])
 
 

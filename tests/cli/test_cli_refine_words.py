@@ -29,7 +29,7 @@ def test_verbose_prints_every_measure_and_setting(folder, refine):
         "Chamfer to the start",
         "mirror plane",
         "sigma_sq ",
-        "loss weight 1.00, mask.png",
+        "inlier weight 1.00, mask.png",
     ):
         assert words in run.out
 

@@ -54,7 +54,7 @@ def test_a_floor_is_left_out_under_right_and_other_clouds(name, start, count):
     points = getattr(scene, start)
     cloud = with_floor(points)
     left = Cloud(cloud, "cloud").controlled(views=views_around(scene.target, count)).left_out
-    assert left[len(points) :].mean() > 0.95
+    assert left[len(points) :].mean() > 0.9
     assert left[: len(points)].mean() < 0.15
 
 

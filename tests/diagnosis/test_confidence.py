@@ -120,11 +120,10 @@ def _judged(diagnosis: Diagnosis, inlier_weight: float = 1.0) -> RefineResult:
     diagnosis = replace(diagnosis, explanation=found.explanation)
     weighed = weigh(prepare(cloud, scene.views, settings), settings)
     prior = named_prior(settings.prior)
-    begin = beginning(weighed.problem, weighed.weights.loss, prior)
+    begin = beginning(weighed.problem, weighed.weights, prior)
     optimised = optimise(weighed, settings, settings.steps, begin=begin)
     still = unmoved(scene.views)
-    weights = replace(weighed.weights, inlier=[inlier_weight])
-    weighed = replace(weighed, weights=weights)
+    weighed = replace(weighed, weights=[inlier_weight])
     return judge(weighed, optimised, scene.views, still, diagnosis, settings, seconds={})
 
 

@@ -39,7 +39,7 @@ SCENES = {
     ),
     "a mask thinner than a pixel": (MaskTarget.of(LINE), "perspective"),
     "an enlarged mask": (MaskTarget.of(DISC, cells_per_mask_pixel=3.3), "perspective"),
-    "a mask enlarged beyond the pixels that are tried first": (
+    "a mask enlarged beyond the pixels next to a point": (
         MaskTarget.of(DISC, cells_per_mask_pixel=4.5),
         "perspective",
     ),
@@ -67,8 +67,8 @@ def _oracle(points: torch.Tensor, targets: ViewTargets) -> torch.Tensor:
     in_image = valid & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
     observed = in_image if target.truncated else valid
     area = target.scale**2
-    # Column by column: of foreground pixels equally near, the leftmost, then the upper one counts.
-    foreground = torch.tensor(np.argwhere(target.inside.T), dtype=torch.float64)
+    # Of foreground pixels equally near, the uppermost, then the leftmost one counts.
+    foreground = torch.tensor(np.argwhere(target.inside)[:, ::-1].copy(), dtype=torch.float64)
     squared = (foreground[:, None] - pixels).square().sum(2)
     nearest = squared.masked_fill(~valid, torch.inf).argmin(1)
     squared = squared.gather(1, nearest[:, None])[:, 0]

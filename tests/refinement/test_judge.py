@@ -15,7 +15,6 @@ from tso_cli.optimisation.learned_start import beginning
 from tso_cli.optimisation.loop import Optimised
 from tso_cli.optimisation.optimise import optimise, weigh
 from tso_cli.optimisation.problem import prepare
-from tso_cli.optimisation.view_weights import ViewWeights
 from tso_cli.pose.move import unmoved
 from tso_cli.prior import named_prior
 from tso_cli.refinement.clock import Clock
@@ -132,7 +131,7 @@ def optimised(chair):
     diagnosis = examine(cloud, [chair.view], [chair.view])
     weighed = weigh(prepare(cloud, [chair.view], settings), settings)
     prior = named_prior(settings.prior)
-    begin = beginning(weighed.problem, weighed.weights.loss, prior)
+    begin = beginning(weighed.problem, weighed.weights, prior)
     return weighed, settings, diagnosis, optimise(weighed, settings, settings.steps, begin=begin)
 
 
@@ -159,11 +158,11 @@ def test_a_doubtful_displacement_is_taken_or_left(chair, optimised, accepted, ou
 
 def test_a_view_that_the_others_contradict_is_a_finding(chair, optimised):
     weighed, *others = optimised
-    contradicted = replace(weighed, weights=ViewWeights([0.3], [1.0]))
+    contradicted = replace(weighed, weights=[0.3])
     result = _of((contradicted, *others), chair.view)
     assert result.findings == (Finding("contradicted", (0,), values={"weight": 0.3}),)
     assert result.views[0].inlier_weight == 0.3
-    tolerated = replace(weighed, weights=ViewWeights([0.5], [1.0]))
+    tolerated = replace(weighed, weights=[0.5])
     assert _of((tolerated, *others), chair.view).findings == ()
 
 

@@ -1,8 +1,7 @@
 """Points that do not belong to the surface: outliers far from the rest, and sparse points near it.
 
-Both are found by the distance to the fourth neighbour, which says how densely a cloud is sampled
-around a point. An outlier is left out of everything. A sparse point takes part: it may be an
-outlier close to the object, or belong to a part that was sampled sparsely.
+An outlier is left out of everything. A sparse point takes part: it may be an outlier close to the
+object, or belong to a part that was sampled sparsely.
 """
 
 from __future__ import annotations
@@ -12,69 +11,28 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..geometry.arrays import Array, Bits, Indices
-from ..geometry.points import (
-    CANDIDATES,
-    bounds,
-    longest_side,
-    quantile,
-    scattered,
-    spread_subset,
-)
+from ..geometry.points import CANDIDATES, quantile, scattered, spread_subset
 from ..geometry.view import View
 from ..losses.nearest import nearest_few
 from ..losses.projection import pixels_under
 
-NEIGHBOUR = 4
-
+# The distance to this neighbour says how densely a cloud is sampled around a point. It is searched
+# among this number of places, and its median is that of a sample of them: both bound the time.
+NEIGHBOUR, PLACES, SAMPLE = 4, 4096, 512
+# Lengths in sizes of the middle half of the points: of a gap that has outliers beyond it, and from
+# an outlier to its fourth neighbour, which is also six medians of such distances away.
+GAP, FAR, MEDIANS_OF_OUTLIERS = 1.5, 0.5, 6.0
 # With a larger share of outliers the cloud is sampled too unevenly to find any.
 LARGEST_SHARE_OF_OUTLIERS = 0.25
-
 # A smaller share of the points is not a part of the object that a mask would show.
 SMALLEST_PART = 0.05
+# A point is sparse if its fourth neighbour is this many medians away ...
+MEDIANS = 1.6
+# ... in a cloud where more points than two are so far: a few are in an even sampling.
+CLEARLY, FEWEST = 2.5, 3
 # At most this share of the control points is sparse, or the share of the cloud. On training clouds
 # with outliers less is better; with more, sparse halves of merged scans keep their control points.
 LARGEST_SPARSE_SHARE = 1 / 6
-
-
-class DistantPoint:
-    """A point is an outlier if its fourth neighbour is far away by two measures at once."""
-
-    SIZES = 0.3  # farther than this part of the size of the cloud's middle four fifths
-    MEDIANS = 6.0  # farther than this multiple of the median of all distances
-    # Least length of a cloud with such points, in sizes of its middle four fifths.
-    SHORTEST_CLOUD = 1.6
-
-
-class DistantGroup:
-    """A group of points is an outlier if all of it lies far outside the largest group's box.
-
-    Points form one group while gaps are short: under 1.5 sizes of the cloud's middle half (up to
-    2.3 sizes, since points are grouped by cubes).
-    """
-
-    GAP = 1.5  # in sizes of the middle half
-    CUBES_IN_A_GAP = 4
-    OUTSIDE = 0.5  # distance to the largest group's box, in sizes of that box
-    # Least length of a cloud with such groups, in sizes of its middle half.
-    SHORTEST_CLOUD = 3.5
-    FEWEST_POINTS = 64  # fewer points have gaps of their own
-    MOST_CUBES = 2048  # with more cubes the cloud is no object with outliers
-    FARTHEST_CUBE = 1 << 20  # cubes farther from the middle, either way, count as one
-
-
-class SparsePoint:
-    """A point is sparse if its fourth neighbour is far away, in medians of all such distances."""
-
-    MEDIANS = 1.6
-    # The cloud has sparse points if at least a share and a number of points are clearly sparse,
-    # since some are in an even sampling.
-    CLEARLY = 2.5  # medians
-    SMALLEST_SHARE = 0.003
-    FEWEST = 3
-    # Neighbours are searched among this number of places. Two samples of the places, the first
-    # smaller, are searched for sparse points; most clouds have none in the first.
-    PLACES = 4096
-    SAMPLES = (256, 1024)
 
 
 def find_outliers(points: Array) -> Bits:
@@ -82,8 +40,8 @@ def find_outliers(points: Array) -> Bits:
 
     One outlier at ten times the object's size would leave the object a tenth of every window.
     """
-    found = _distant_groups(points)
-    found[~found] = _distant_points(points[~found])
+    found = _beyond_gaps(points)
+    found[~found] = _single(points[~found])
     return found if found.mean() <= LARGEST_SHARE_OF_OUTLIERS else np.zeros(len(points), bool)
 
 
@@ -104,87 +62,48 @@ def _on_mask(points: Array, view: View) -> int:
     return int(np.count_nonzero(inside & (view.mask.ravel()[pixel] > 0.5)))
 
 
-def _distant_groups(points: Array) -> Bits:
-    """[N], points of groups far from the largest group; none if they are many."""
-    none = np.zeros(len(points), bool)
-    size = float((quantile(points, 0.75) - quantile(points, 0.25)).max())
-    compact = longest_side(points) <= DistantGroup.SHORTEST_CLOUD * size
-    if len(points) < DistantGroup.FEWEST_POINTS or compact or size == 0.0:
-        return none
-    edge = DistantGroup.GAP / DistantGroup.CUBES_IN_A_GAP * size
-    cubes = np.floor((points - quantile(points, 0.5)) / edge)
-    cubes = cubes.clip(-DistantGroup.FARTHEST_CUBE, DistantGroup.FARTHEST_CUBE - 1).astype(np.int64)
-    # One number for each cube, which sorts faster than three.
-    numbers = (cubes + DistantGroup.FARTHEST_CUBE) @ [
-        4 * DistantGroup.FARTHEST_CUBE**2,
-        2 * DistantGroup.FARTHEST_CUBE,
-        1,
-    ]
-    _, first, cube, counts = np.unique(
-        numbers, return_index=True, return_inverse=True, return_counts=True
-    )
-    if len(first) > DistantGroup.MOST_CUBES:
-        return none
-    group = _connected(cubes[first])
-    of_points = group[cube.ravel()]
-    low, high = bounds(points[of_points == np.bincount(group, counts).argmax()])
-    distance = np.maximum(low - points, points - high).max(1)
-    outside = distance > DistantGroup.OUTSIDE * (high - low).max()
-    # A group counts as distant if none of its points is near.
-    distant: Bits = (np.bincount(of_points, ~outside) == 0)[of_points]
-    return distant if distant.mean() <= LARGEST_SHARE_OF_OUTLIERS else none
+def _middle(points: Array) -> tuple[Array, Array, float]:
+    """Least and largest coordinates [3] of the middle half of the points, and its largest size."""
+    low, high = quantile(points, 0.25), quantile(points, 0.75)
+    return low, high, float((high - low).max())
 
 
-def _connected(cubes: Indices) -> Indices:
-    """[C], the same number for ``cubes`` [C, 3] that a chain of near cubes connects.
-
-    scipy has this too, but takes longer to import than this takes to run.
-    """
-    near = np.logical_and.reduce(
-        [
-            np.abs(np.subtract.outer(axis, axis)) <= DistantGroup.CUBES_IN_A_GAP + 1
-            for axis in cubes.T
-        ]
-    )
-    group = np.arange(len(cubes))
-    while (least := np.where(near, group, len(cubes)).min(1)).tolist() != group.tolist():
-        group = least[least]
-    return group
+def _beyond_gaps(points: Array) -> Bits:
+    """[N], points beyond a long gap along an axis, as seen from the middle half of the points."""
+    low, high, size = _middle(points)
+    found = np.zeros(len(points), bool)
+    for beyond in (*(low - points).T, *(points - high).T) if size > 0.0 else ():
+        ordered = np.sort(beyond[beyond > 0.0])
+        (ends,) = np.nonzero(np.diff(ordered, prepend=0.0) > GAP * size)
+        if len(ends):
+            found |= beyond >= ordered[ends[0]]
+    return found
 
 
-def _distant_points(points: Array) -> Bits:
-    """[N], points far from all others; none if they are many."""
-    none = np.zeros(len(points), bool)
-    size = float((quantile(points, 0.9) - quantile(points, 0.1)).max())
-    if len(points) <= NEIGHBOUR or longest_side(points) <= DistantPoint.SHORTEST_CLOUD * size:
-        return none
-    # Invalid points of a scan may all lie in one place.
-    places, place = np.unique(points, axis=0, return_inverse=True)
-    distance = _to_fourth(places, places)
-    least = max(DistantPoint.SIZES * size, DistantPoint.MEDIANS * float(quantile(distance, 0.5)))
-    distant: Bits = (distance > least)[place.ravel()]
-    return distant if distant.mean() <= LARGEST_SHARE_OF_OUTLIERS else none
+def _single(points: Array) -> Bits:
+    """[N], points outside of the middle half and far from all others."""
+    low, high, size = _middle(points)
+    (outside,) = np.nonzero((np.maximum(low - points, points - high) > FAR * size).any(1))
+    places = np.unique(scattered(points, PLACES), axis=0)
+    found = np.zeros(len(points), bool)
+    if len(outside) and len(places) > NEIGHBOUR:
+        median = float(quantile(_to_fourth(scattered(places, SAMPLE), places), 0.5))
+        least = max(FAR * size, MEDIANS_OF_OUTLIERS * median)
+        found[outside] = _to_fourth(points[outside], places) > least
+    return found
 
 
 def find_sparse(points: Array) -> Bits:
-    """[N], which of ``points`` [N, 3] are sparse; none where the sampling is even.
-
-    This takes seconds for millions of points; pass a subset of them.
-    """
+    """[N], which of ``points`` [N, 3] are sparse; none where the sampling is even."""
+    places = np.unique(scattered(points, PLACES), axis=0)
     none = np.zeros(len(points), bool)
-    places = np.unique(scattered(points, SparsePoint.PLACES), axis=0)
     if len(places) <= NEIGHBOUR:
         return none
-    for count in SparsePoint.SAMPLES:
-        distance = _to_fourth(scattered(places, count), places)
-        least = SparsePoint.CLEARLY * float(quantile(distance, 0.5))
-        if distance.max() <= least:
-            return none
-    fewest = max(SparsePoint.FEWEST, SparsePoint.SMALLEST_SHARE * len(distance))
-    if np.count_nonzero(distance > least) < fewest:
+    distance = _to_fourth(scattered(places, SAMPLE), places)
+    median = float(quantile(distance, 0.5))
+    if np.count_nonzero(distance > CLEARLY * median) < FEWEST:
         return none
-    least *= SparsePoint.MEDIANS / SparsePoint.CLEARLY
-    sparse: Bits = _to_fourth(points, places) > least
+    sparse: Bits = _to_fourth(points, places) > MEDIANS * median
     return sparse
 
 

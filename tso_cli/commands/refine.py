@@ -244,8 +244,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 )
 @options.flag(
     "--point-confidence",
-    "Write how far the masks determine each point, 0 to 1, as `confidence` of the .ply, and name "
-    "the view whose mask would help most.",
+    "Write how far the masks determine each point, 0 to 1, as `confidence` of the .ply.",
 )
 @options.flag("--accept-doubtful", "Move the points even where a doubtful cloud would be left.")
 @options.flag(

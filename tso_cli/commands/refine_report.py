@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from ..diagnosis.best_view import BestView
 from ..evaluation.footprint import IOU_MEANS
 from ..geometry.camera import Camera
 from ..geometry.rotations import angle_between
@@ -41,7 +40,7 @@ CONVENTION = {
     "chamfer_to_initial": "squared distances of control points, mean over points, both directions "
     "summed, longest side 1",
     "iou": IOU_MEANS,
-    "trust": "of a view: 1, or less where the other views contradict it",
+    "trust": "weight of a view in the loss: 1, or less where the other views contradict it",
     "moving": "number of control points, which move by themselves: samples of a mesh's faces, or "
     "some points of a large cloud; all others follow them",
     "outliers": "points far from the rest, or that masks leave out, which stay where they are",
@@ -51,8 +50,6 @@ CONVENTION = {
     "determined": "share of the motions of the points that masks and depth maps fix more firmly "
     "than a position prior; one mask alone fixes at most about two thirds; null except for the "
     "default preset in points mode",
-    "best_view": "where a further mask would determine most: degrees to the right of the first "
-    "camera and above it, around the object; null without --point-confidence",
     "moved": "whether anything moved: the shape, the cloud as one, or cameras",
     "transform": "4x4, x' = matrix x takes the cloud as it was given to where it moved as one, "
     "before its shape changed; the identity where nothing or a camera moved",
@@ -66,7 +63,6 @@ CONVENTION = {
     "optimisation, also where it was left, as a share of the object's size",
     "saving": "share of the work that was saved: of the masks' pixels, the points, the steps, the "
     "work that a mirror plane takes",
-    "weight": "of a view in the loss: its trust, divided among the views that show the same",
     "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null "
     "for none",
     "sigma_sq": "squared 64ths of the window (encoder modes: mask and IoU are of the 64x64 crop)",
@@ -83,26 +79,6 @@ def objective_of(result: RefineResult) -> str:
     if settings.smooth:
         return "mask Chamfer loss; after each step, the position prior as well"
     return "mask Chamfer loss + position prior"
-
-
-def best_view_document(best: BestView) -> dict[str, Any]:
-    """For JSON."""
-    camera = {name: getattr(best.camera, name).tolist() for name in ("K", "R", "t")}
-    where = {"azimuth": best.azimuth, "elevation": best.elevation}
-    return {**where, **camera, "determined": best.determined}
-
-
-def words_of_best_view(best: BestView) -> str:
-    """Where the camera of a further mask would stand, as seen from the first one."""
-    aside, height = best.azimuth, best.elevation
-    parts = []
-    if abs(aside) == 180:
-        parts.append("behind")
-    elif aside:
-        parts.append(f"{abs(aside)} degrees to the {'right' if aside > 0 else 'left'}")
-    if height:
-        parts.append(f"{abs(height)} degrees {'above' if height > 0 else 'below'}")
-    return f"a mask from {' and '.join(parts)} would help most"
 
 
 @dataclass(frozen=True)
@@ -158,7 +134,6 @@ class RefineReport:
             **verdict_document(trust.confidence, trust.verdict, reason, warnings, suspects),
             "moved": result.moved,
             "determined": result.determined,
-            "best_view": result.best_view and best_view_document(result.best_view),
             **move_document(result.move),
             "alternatives": alternatives_of(self.scene.fitted, result.move),
             "decisions": document_of(result.cost.decisions),
@@ -187,7 +162,6 @@ class RefineReport:
                 "iou_before": fitted.iou_before,
                 "iou_after": fitted.iou_after,
                 "trust": fitted.inlier_weight,
-                "weight": fitted.loss_weight,
                 "window": fitted.window,
                 "cells": fitted.cells,
             }
@@ -270,12 +244,9 @@ class RefineReport:
         return [part for part in parts if part]
 
     def print_summary(self) -> None:
-        """`summary`, the view that would help most, and the other files."""
+        """`summary` and the other files."""
         for name, text in self.summary().items():
             click.echo(f"  {name:7}{text}" if name else text)
-        if best := self.result.best_view:
-            shares = f"{self.result.determined:.2f} to about {best.determined:.2f}"
-            click.echo(f"  next   {words_of_best_view(best)} (determined: {shares})")
         for path, content in (
             (self.outputs.overlay, "picture"),
             (self.outputs.report, "page"),
@@ -372,7 +343,7 @@ class RefineReport:
         for view in result.views:
             click.echo(
                 f"  view   {view.iou_before:.3f} -> {view.iou_after:.3f}   inlier weight "
-                f"{view.inlier_weight:.2f}, loss weight {view.loss_weight:.2f}, {view.name}"
+                f"{view.inlier_weight:.2f}, {view.name}"
             )
         for given, _, degrees, shift in self.corrections if result.move.kind == "camera" else ():
             text = f"turned {degrees:.2f} degrees, shifted {100.0 * shift:.2f} % of its distance"

@@ -11,7 +11,6 @@ the number of parameters.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,39 +31,30 @@ ROBUST_SCALE = 3.0
 NEIGHBOURS = 12
 
 
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What the views say of the control points of a cloud.
+def all_blocks(points: Array, problem: Problem, weights: Sequence[float]) -> Array:
+    """[N, 3, 3], the blocks of normalised ``points`` [N, 3] in the normal matrix of all views.
 
-    points : [N, 3], normalised. blocks : [N, 3, 3], the blocks of the points in the normal matrix.
+    ``weights`` are of the given views.
     """
+    blocks = np.zeros((len(points), 3, 3))
+    for number, view in enumerate(problem.targets(weights).views):
+        share = 1.0 if number < len(problem.given) else FLIPPED_EVIDENCE
+        blocks += share * normal_blocks(points, view)
+    return blocks
 
-    points: Array
-    blocks: Array
 
-    @classmethod
-    def of(cls, points: Array, problem: Problem, weights: Sequence[float]) -> Evidence:
-        """At normalised ``points`` [N, 3]; ``weights`` are of the given views."""
-        blocks = np.zeros((len(points), 3, 3))
-        for number, view in enumerate(problem.targets(weights).views):
-            share = 1.0 if number < len(problem.given) else FLIPPED_EVIDENCE
-            blocks += share * normal_blocks(points, view)
-        return cls(points, blocks)
+def shares_fixed(points: Array, blocks: Array) -> Array:
+    """[N] in [0, 1]: the share of each point's motions that the evidence fixes.
 
-    def confidence(self, further: Array | float = 0.0) -> Array:
-        """[N] in [0, 1]: the share of each point's motions that the evidence fixes.
-
-        ``further`` [N, 3, 3] is added to the blocks. With D the mean block of a point and its
-        neighbours, and p the weight of the position prior, the share is
-        ``1 - tr(p (D + p I)^-1) / 3``: posterior over prior variance, the mean of three directions.
-        """
-        count = len(self.points)
-        held = PRIOR_WEIGHT * REFERENCE_POINTS / count
-        near = nearest_few(self.points, self.points, min(NEIGHBOURS, count))
-        data = (self.blocks + further)[near].mean(1)
-        left = np.linalg.inv(data + held * np.eye(3))
-        fixed: Array = 1.0 - held * np.trace(left, axis1=1, axis2=2) / 3.0
-        return np.clip(fixed, 0.0, 1.0)
+    ``blocks`` [N, 3, 3] are of all views. With D the mean block of a point and its neighbours, and
+    p the weight of the position prior, the share is ``1 - tr(p (D + p I)^-1) / 3``: posterior over
+    prior variance, the mean of three directions.
+    """
+    held = PRIOR_WEIGHT * REFERENCE_POINTS / len(points)
+    near = nearest_few(points, points, min(NEIGHBOURS, len(points)))
+    left = np.linalg.inv(blocks[near].mean(1) + held * np.eye(3))
+    fixed: Array = 1.0 - held * np.trace(left, axis1=1, axis2=2) / 3.0
+    return np.clip(fixed, 0.0, 1.0)
 
 
 def normal_blocks(points: Array, view: ViewTarget) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.arrays import Array, Bits
+from ..geometry.resampling import nearest_cell
 from .nearest import nearest
 from .projection import pixels_under
 
@@ -70,33 +71,10 @@ class MaskTarget:
         return float(self.inside.sum()) * self.scale**2
 
     @cached_property
-    def foreground(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Rows and columns of the foreground pixels."""
-        rows, columns = np.nonzero(self.inside)
-        return rows, columns
-
-    @cached_property
-    def nearest_in_column(self) -> NDArray[np.int64]:
-        """[H, W] row of the foreground pixel that is nearest in the same column.
-
-        Of two equally near the upper one is taken; -1 stands in a column without foreground.
-        """
-        height = len(self.inside)
-        rows = np.arange(height)[:, None]
-        above = np.maximum.accumulate(np.where(self.inside, rows, -height), 0)
-        below = np.minimum.accumulate(np.where(self.inside, rows, 2 * height)[::-1], 0)[::-1]
-        near = np.where(rows - above <= below - rows, above, below)
-        return np.where((near >= 0) & (near < height), near, -1)
-
-    @cached_property
     def nearest_foreground(self) -> NDArray[np.int64]:
-        """[H, W, 2] row and column of the nearest foreground pixel; of equals the leftmost."""
+        """[H, W, 2] row and column of the nearest foreground pixel."""
         height, width = self.inside.shape
-        near = self.nearest_in_column
-        squared = np.where(near < 0, 1 << 40, np.square(near - np.arange(height)[:, None]))
-        across = np.square(np.arange(width)[:, None] - np.arange(width))  # [W, W]
-        columns = np.stack([(across + line).argmin(1) for line in squared])  # [H, W]
-        return np.stack([np.take_along_axis(near, columns, 1), columns], -1)
+        return np.stack(np.divmod(nearest_cell(self.inside, max(height, width)), width), -1)
 
     def observed(self, points_px: Array, valid: Bits) -> Bits:
         """[N] which points can be compared with the mask.
@@ -169,64 +147,20 @@ def _uncovered(
     if not len(candidates):
         return np.empty(0, np.int64), np.empty((0, 2))
     within = COVERED_WITHIN * target.cells_per_mask_pixel
-    near, pixels = _nearest_to_uncovered(points_px[candidates], target, within)
-    (far,) = np.nonzero(near < 0)
-    near[far] = nearest(pixels[far], points_px[candidates])
-    owner = candidates[near]
+    # Most pixels are covered by a point on them or next to them, which is quickly seen.
+    neighbours = np.argwhere(np.ones((3, 3))) - 1
+    around = np.rint(points_px) + neighbours[:, None]
+    right, down = np.moveaxis(around - points_px, -1, 0)
+    covering = around[valid & (right * right + down * down <= within**2)]
+    pixel, in_image = pixels_under(covering, np.ones(len(covering), bool), *target.inside.shape)
+    uncovered = target.inside.copy()
+    uncovered.ravel()[pixel[in_image]] = False
+    rows, columns = np.nonzero(uncovered)
+    pixels = np.stack([columns, rows], 1).astype(float)
+    owner = candidates[nearest(pixels, points_px[candidates])]
     offsets = points_px[owner] - pixels
     kept = observed[owner] & (np.square(offsets).sum(1) > within**2)
     return owner[kept], offsets[kept]
-
-
-def _nearest_to_uncovered(
-    points_px: Array, target: MaskTarget, within: float, reach: int = 2
-) -> tuple[NDArray[np.int64], Array]:
-    """The uncovered foreground pixels [P, 2], and the index [P] of the nearest point of each.
-
-    A pixel is uncovered if no point lies ``within`` this many px. The index is -1 if no point lies
-    within ``reach`` + 0.5 px. Each point tries the pixels within ``reach`` rows and columns, which
-    is faster than all points for each pixel, and finds the nearest point of most pixels.
-    """
-    height, width = target.inside.shape
-    furthest = (reach + 0.5) ** 2
-    # Margins around the image take the places of points near its border.
-    margin = 2 * reach + 1
-    padded = width + 2 * margin
-    x, y = np.ascontiguousarray(points_px.T)
-    (near,) = np.nonzero(
-        (x > -reach - 1.0) & (x < width + reach) & (y > -reach - 1.0) & (y < height + reach)
-    )
-    x, y = x[near], y[near]
-    column, row = np.rint(x), np.rint(y)
-    # Pairs of points and places around them, as one array of places and squared distances for each
-    # row of places: small arrays stay in the cache.
-    steps = np.arange(-reach, reach + 1)
-    by_row, by_column = np.square(row - y + steps[:, None]), np.square(column - x + steps[:, None])
-    places = ((row + margin) * padded + column + margin).astype(np.int64) + steps[:, None]
-    pairs = [
-        ((places + down * padded).ravel(), (squared + by_column).ravel())
-        for down, squared in zip(steps, by_row, strict=True)
-    ]
-    # 1. The least squared distance at each place.
-    least = np.full((height + 2 * margin) * padded, furthest)
-    for place, squared in pairs:
-        np.minimum.at(least, place, squared)
-    # 2. The foreground pixels whose least distance is too large.
-    rows, columns = target.foreground
-    pixels = (rows + margin) * padded + columns + margin
-    (uncovered,) = np.nonzero((least[pixels] > within**2) | (least[pixels] >= furthest))
-    pixels = pixels[uncovered]
-    # 3. The first point at the least distance of each of these pixels. Points that mirror each
-    # other are often equally far.
-    sought = np.full(len(least), -1.0)
-    sought[pixels] = least[pixels]
-    owner = np.full(len(least), len(points_px))
-    point = np.tile(near, len(steps))
-    for place, squared in pairs:
-        (nearest_ones,) = np.nonzero(squared == sought[place])
-        np.minimum.at(owner, place[nearest_ones], point[nearest_ones])
-    owner = np.where(owner < len(points_px), owner, -1)
-    return owner[pixels], np.stack([columns[uncovered], rows[uncovered]], 1).astype(float)
 
 
 def _outside_mask(

@@ -11,7 +11,6 @@ from ..geometry.arrays import Array, Indices
 from ..losses.chamfer import ChamferToStart
 from ..losses.nearest import nearest_few
 from ..losses.photometric import Photo, PhotometricTerm
-from .adam import Adam
 from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import PositionPrior, SilhouetteObjective
@@ -19,7 +18,7 @@ from .parameters import PointParameters
 from .presets import BEST_POINTS, PRIOR_WEIGHT
 from .problem import Problem
 from .settings import Settings
-from .view_weights import ViewWeights
+from .view_weights import weights_of
 
 # Points that move alike by a photo: the detail of one point alone fits many places.
 NEIGHBOURS = 12
@@ -30,16 +29,15 @@ class WeighedProblem:
     """A problem with the weights of the views that were given."""
 
     problem: Problem
-    weights: ViewWeights
+    weights: list[float]
 
 
 def weigh(problem: Problem, settings: Settings) -> WeighedProblem:
     """The weights of the given views, by their silhouettes of the start."""
-    weights = ViewWeights.even(len(problem.given))
-    if settings.preset == "best":
-        resampled = [windowed.resampled for windowed in problem.given]
-        weights = ViewWeights.of(resampled, problem.cloud.start)
-    return WeighedProblem(problem, weights)
+    if settings.preset == "paper":
+        return WeighedProblem(problem, [1.0] * len(problem.given))
+    resampled = [windowed.resampled for windowed in problem.given]
+    return WeighedProblem(problem, weights_of(resampled, problem.cloud.start))
 
 
 def optimise(
@@ -54,7 +52,7 @@ def optimise(
 
     The default preset in points mode begins at ``begin``, without it at the start.
     """
-    problem, weights, rate = weighed.problem, weighed.weights.loss, settings.learning_rate
+    problem, weights, rate = weighed.problem, weighed.weights, settings.learning_rate
     start = problem.cloud.start
     if settings.smooth:
         return optimise_points(problem, weights, steps, rate, begin, on_progress=on_progress)
@@ -63,7 +61,7 @@ def optimise(
         objective = sum_of([problem.targets(weights).loss, PositionPrior(start, PRIOR_WEIGHT)])
     elif settings.gamma:
         objective = sum_of([objective, _Times(settings.gamma, ChamferToStart(start))])
-    parameters = network or PointParameters(start, Adam(rate))
+    parameters = network or PointParameters(start, rate)
     return minimise(parameters, objective, steps, on_progress)
 
 
@@ -90,7 +88,7 @@ def optimise_points(
     photos = _photometric(problem, weights, begin.points)
     agreement = sum_of([problem.targets(weights).loss, *photos])
     held = PositionPrior(begin.points, prior_weight)
-    parameters = PointParameters(begin.points, Adam(learning_rate))
+    parameters = PointParameters(begin.points, learning_rate)
     found = minimise(parameters, sum_of([agreement, held]), steps, on_progress)
     # Compared without the position prior, which may hold the cloud elsewhere than at its start.
     loss_at_start, loss_at_best = agreement(start)[0], agreement(found.best)[0]

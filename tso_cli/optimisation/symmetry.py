@@ -25,11 +25,7 @@ class Search:
 
     POINTS = 256  # that candidate planes are fitted to
     MEASURED_POINTS = 1024  # that the misfit of a plane is measured at
-    UPDATES = 8  # of the candidates
-    # The best candidate is fitted to convergence: a plane that still moves would depend on how
-    # this machine rounds.
-    MOST_UPDATES = 40
-    CONVERGED = 1e-9  # movement of the mirrored points, in spacings
+    UPDATES = 8  # of the candidates, and of the best of them
     EQUALLY_FAR = 1e-9  # squared distances that differ by at most this share differ by rounding
     PAIRED_SHARE = 0.8  # the furthest fifth has no counterpart, and would turn the plane
 
@@ -74,20 +70,11 @@ def find_mirror_plane(points: Array) -> FittedPlane:
     """
     points = scattered(as_points(points), CANDIDATES)
     fitted = _best_plane(points)
-    if fitted.symmetric:
-        return fitted
     sparse = find_sparse(points)
-    if not sparse.any():
+    if fitted.symmetric or not sparse.any():
         return fitted
     without = _best_plane(points[~sparse])
     return without if without.symmetric else fitted
-
-
-def fitted_plane(plane: MirrorPlane, points: Array) -> FittedPlane:
-    """``plane`` with its misfit to a cloud [N, 3]."""
-    points = as_points(points)
-    subset = points[spread_subset(points, Search.MEASURED_POINTS)]
-    return _measured(plane, subset, subset, _spacing(subset))
 
 
 def _best_plane(points: Array) -> FittedPlane:
@@ -100,56 +87,34 @@ def _best_plane(points: Array) -> FittedPlane:
     centre = subset.mean(0)
     axes = np.concatenate([np.eye(3), np.linalg.svd(subset - centre, full_matrices=False)[2]])
     spacing = _spacing(measured)
-    candidates = [MirrorPlane(axis, float(axis @ centre)) for axis in axes]
-    for _ in range(Search.UPDATES):
-        before, (candidates, _) = candidates, _improved(candidates, subset)
-        if all(map(_same, candidates, before)):
-            break
+    candidates = [_improved(MirrorPlane(axis, float(axis @ centre)), subset) for axis in axes]
     found = [_measured(plane, measured, subset, spacing) for plane in candidates]
-    plane = min(found, key=lambda candidate: candidate.mean).plane
-    iterates = []
-    for _ in range(Search.MOST_UPDATES):
-        (improved,), (misfit,) = _improved([plane], measured)
-        iterates.append((misfit, plane))
-        # Reflections are compared because the sign of a normal is arbitrary.
-        moved = np.abs(plane.reflect(subset) - improved.reflect(subset)).max()
-        if moved < Search.CONVERGED * spacing:
-            break
-        # The alternation may end in a cycle. The best plane of a cycle does not depend on where
-        # the cycle was entered.
-        if any(_same(improved, other) for _, other in iterates):
-            break
-        plane = improved
-    plane = min(iterates, key=lambda iterate: iterate[0])[1]
-    return _measured(plane, measured, measured, spacing)
+    best = min(found, key=lambda candidate: candidate.mean).plane
+    return _measured(_improved(best, measured), measured, measured, spacing)
 
 
-def _same(one: MirrorPlane, other: MirrorPlane) -> bool:
-    return one.offset == other.offset and bool((one.normal == other.normal).all())
+def fitted_plane(plane: MirrorPlane, points: Array) -> FittedPlane:
+    """``plane`` with its misfit to a cloud [N, 3]."""
+    points = as_points(points)
+    subset = points[spread_subset(points, Search.MEASURED_POINTS)]
+    return _measured(plane, subset, subset, _spacing(subset))
 
 
-def _improved(planes: list[MirrorPlane], points: Array) -> tuple[list[MirrorPlane], list[float]]:
-    """Planes fitted to pairs of mirrored points and their nearest neighbours.
-
-    Also the mean squared distance of the pairs by the given planes.
-    """
-    images = np.stack([plane.reflect(points) for plane in planes])
-    pairs = np.stack([points[nearest(image, points)] for image in images])
-    distance = images - pairs
-    squared = np.einsum("pnc,pnc->pn", distance, distance)
-    # Two points, each the nearest to the other's mirror image, are equally far up to rounding.
-    # Both are kept, or neither.
+def _improved(plane: MirrorPlane, points: Array) -> MirrorPlane:
+    """A plane after some fits to pairs of mirrored points and their nearest neighbours."""
     last = int(Search.PAIRED_SHARE * (len(points) - 1))
-    kept = squared <= np.partition(squared, last, 1)[:, last : last + 1] * (
-        1.0 + Search.EQUALLY_FAR
-    )
-    weight = kept / kept.sum(1, keepdims=True)
-    mean_x, mean_y = weight @ points, (weight[:, None] @ pairs)[:, 0]
-    weighted = (points - mean_x[:, None]) * weight[:, :, None]
-    product = weighted.transpose(0, 2, 1) @ (pairs - mean_y[:, None])
-    normals = np.linalg.eigh(product + product.transpose(0, 2, 1))[1][:, :, 0]
-    offsets = (normals * (mean_x + mean_y)).sum(1) / 2.0
-    return list(map(MirrorPlane, normals, offsets.tolist())), (weight * squared).sum(1).tolist()
+    for _ in range(Search.UPDATES):
+        image = plane.reflect(points)
+        pairs = points[nearest(image, points)]
+        squared = np.square(image - pairs).sum(1)
+        # Two points, each the nearest to the other's mirror image, are equally far up to rounding.
+        # Both are kept, or neither.
+        kept = squared <= np.partition(squared, last)[last] * (1.0 + Search.EQUALLY_FAR)
+        x, y = points[kept], pairs[kept]
+        product = (x - x.mean(0)).T @ (y - y.mean(0))
+        normal = np.linalg.eigh(product + product.T)[1][:, 0]
+        plane = MirrorPlane(normal, float(normal @ (x.mean(0) + y.mean(0))) / 2.0)
+    return plane
 
 
 def _measured(plane: MirrorPlane, cloud: Array, queries: Array, spacing: float) -> FittedPlane:

@@ -1,18 +1,12 @@
-"""Weights of several views.
-
-A view that the others contradict has a lower weight. Views of the same side share their weight.
-"""
+"""Weights of several views: a view that the others contradict has a lower weight."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry.arrays import Array, Bits
-from ..geometry.camera import Camera
-from ..losses.projection import pixels_under, project_differentiably
+from ..geometry.arrays import Array
 from .objective import silhouette_loss
 from .resampled_view import ResampledView
 
@@ -25,41 +19,19 @@ TOLERATED_LOSS = 1.5
 TOLERATED_COSINE = 0.1
 # How steeply the weight falls beyond.
 STEEPNESS = 4.0
-# Power of the cosine between viewing directions in the redundancy of two views.
-REDUNDANCY_POWER = 8
-TINY = float(np.finfo(np.float64).tiny)
 
 
-@dataclass(frozen=True)
-class ViewWeights:
-    """Weights of V views.
-
-    ``inlier`` is under 1 for a view that the other views contradict (`inlier_weights`). ``loss``
-    weighs the views' losses: the inlier weights, divided among redundant views (`shared_weights`).
-    """
-
-    inlier: list[float]
-    loss: list[float]
-
-    @classmethod
-    def even(cls, views: int) -> ViewWeights:
-        return cls([1.0] * views, [1.0] * views)
-
-    @classmethod
-    def of(cls, views: Sequence[ResampledView], points: Array) -> ViewWeights:
-        """From the silhouettes of normalised ``points`` [N, 3]."""
-        if len(views) == 1:
-            return cls.even(1)
-        inlier = np.ones(len(views))
-        if len(views) >= FEWEST_VIEWS_TO_OUTVOTE:
-            losses = [silhouette_loss(points, view, view.camera) for view in views]
-            comparable = np.array(
-                [value / view.magnification for (value, _), view in zip(losses, views, strict=True)]
-            )
-            inlier = inlier_weights(
-                comparable, np.array([gradient.ravel() for _, gradient in losses])
-            )
-        return cls(inlier.tolist(), shared_weights(inlier, _redundancy(views, points)).tolist())
+def weights_of(views: Sequence[ResampledView], points: Array) -> list[float]:
+    """`inlier_weights` of views, from the silhouettes of normalised ``points`` [N, 3]."""
+    if len(views) < FEWEST_VIEWS_TO_OUTVOTE:
+        return [1.0] * len(views)
+    losses = [silhouette_loss(points, view, view.camera) for view in views]
+    comparable = [
+        value / view.magnification for (value, _), view in zip(losses, views, strict=True)
+    ]
+    gradients = [gradient.ravel() for _, gradient in losses]
+    weights: list[float] = inlier_weights(np.array(comparable), np.array(gradients)).tolist()
+    return weights
 
 
 def inlier_weights(losses: Array, gradients: Array) -> Array:
@@ -82,43 +54,3 @@ def inlier_weights(losses: Array, gradients: Array) -> Array:
         STEEPNESS * disagreement
     )
     return weights
-
-
-def shared_weights(inlier: Array, redundancy: Array) -> Array:
-    """Loss weights [V]: redundant views together count as much as the most trusted of them.
-
-    ``redundancy`` [V, V] in [0, 1] is the share of view v's content that view u has too.
-    """
-    others = redundancy * inlier
-    shared: Array = inlier * others.max(1) / np.maximum(others.sum(1), TINY)
-    return shared
-
-
-def _redundancy(views: Sequence[ResampledView], points: Array) -> Array:
-    """[V, V]: |cos|^8 of the angle between two cameras, times the share of points seen by both.
-
-    Silhouettes from opposite sides are the same, flipped; surfaces and colours are not.
-    """
-    directions = np.stack([_direction_to(view.camera) for view in views])
-    cosine = directions @ directions.T
-    one_sided = np.array([view.depth is not None or view.image is not None for view in views])
-    cosine = np.where(one_sided[:, None] & one_sided, np.maximum(cosine, 0.0), cosine)
-    seen = np.stack([_seen(view, points) for view in views]).astype(float)  # [V, N]
-    common = seen @ seen.T / np.maximum(seen.sum(1, keepdims=True), 1.0)
-    redundancy: Array = np.abs(cosine) ** REDUNDANCY_POWER * common
-    # A view that sees no point is redundant with itself all the same.
-    np.fill_diagonal(redundancy, 1.0)
-    return redundancy
-
-
-def _seen(view: ResampledView, points: Array) -> Bits:
-    """[N] which points fall on known pixels of the view."""
-    projected = project_differentiably(points, view.camera)
-    pixel, within = pixels_under(projected.points_px, projected.valid, *view.mask.shape)
-    return within if view.known is None else within & (view.known.ravel()[pixel] >= 0.5)
-
-
-def _direction_to(camera: Camera) -> Array:
-    """Unit vector from the origin to a camera."""
-    vector: Array = -camera.R[2] if camera.model != "perspective" else camera.position
-    return vector / max(float(np.linalg.norm(vector)), 1e-9)

@@ -146,7 +146,7 @@ def _row_of_view(
     silhouette_before, silhouette_after = _silhouettes(result, view, number, photo)
     return [
         (f"view {number + 1} before: IoU {fit.iou_before:.3f}", silhouette_before),
-        (f"after: IoU {fit.iou_after:.3f}, weight {fit.loss_weight:.2f}", silhouette_after),
+        (f"after: IoU {fit.iou_after:.3f}, weight {fit.inlier_weight:.2f}", silhouette_after),
         (f"after: from camera {number + 1}", _dots(*_from_camera(result, view)[1])),
     ]
 

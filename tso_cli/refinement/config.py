@@ -55,8 +55,7 @@ class RefineConfig:
         "distance", or "auto" (the distance for a shift and a similarity, else the size).
     only : move as one, and leave the shape as it is.
     accept_doubtful : move the points also where the cloud would be left as it was.
-    point_confidence : also find how far the evidence determines each point, and the view that
-        would help most.
+    point_confidence : also find how far the evidence determines each point.
     points : most control points: points that move by themselves, while the others follow (16 to
         16,384; of a mesh at most 4,096). With "best" in points mode the default is 1,024.
         Otherwise all points move.

@@ -56,7 +56,7 @@ def fit_maps(
             for view, held in zip(scene.views, held_back, strict=True)
         ]
         weighed = weigh(prepare(cloud, bare, replace(settings, symmetry="none")), settings)
-        of_start = weighed.problem, weighed.weights.loss, prior
+        of_start = weighed.problem, weighed.weights, prior
         if begun := clock.attempt("move", partial(beginning, *of_start), None):
             points = cloud.denormalise(begun.points)
     views, found = fitted(points, scene.views)

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..cloud.cloud import MovedCloud
-from ..diagnosis.best_view import best_view
 from ..diagnosis.confidence import confidence_of, features_of
-from ..diagnosis.determined import Evidence
+from ..diagnosis.determined import all_blocks, shares_fixed
 from ..diagnosis.examine import Diagnosis
 from ..diagnosis.findings import Finding
 from ..diagnosis.trust import LEAST_OVERLAP, NO_REASON, Facts, Trust, Why, trust_of
@@ -103,25 +102,21 @@ def judge(
             camera=windowed.view.camera if move.kind == "camera" else view.camera,
             iou_before=before,
             iou_after=after,
-            inlier_weight=inlier,
-            loss_weight=loss,
+            inlier_weight=weight,
             window=windowed.resampled.box,
             cells=windowed.resampled.camera.width,
         )
-        for view, windowed, (before, after), inlier, loss in zip(
-            given, problem.given, ending.ious, weights.inlier, weights.loss, strict=True
+        for view, windowed, (before, after), weight in zip(
+            given, problem.given, ending.ious, weights, strict=True
         )
     )
-    determined = confidence = further = None
+    determined = confidence = None
     if settings.smooth:
         at = cloud.start + moved.displacements
-        evidence = Evidence.of(at, problem, weights.loss)
-        of_points = evidence.confidence()
+        of_points = shares_fixed(at, all_blocks(at, problem, weights))
         determined = float(of_points.mean())
         if settings.point_confidence:
             confidence = cloud.spread(of_points)
-            first, (centre,) = problem.given[0].resampled.camera, move.apply(cloud.centre[None])
-            further = best_view(evidence, first, views[0].camera, centre)
     return RefineResult(
         points=move.apply(moved.points),
         initial=cloud.source.points,
@@ -136,10 +131,9 @@ def judge(
         symmetry=problem.symmetry,
         trust=ending.trust,
         cost=Cost(seconds, decisions(problem, settings, optimised)),
-        findings=(*diagnosis.findings, *_contradicted(weights.inlier)),
+        findings=(*diagnosis.findings, *_contradicted(weights)),
         determined=determined,
         point_confidence=confidence,
-        best_view=further,
     )
 
 
@@ -162,7 +156,7 @@ def _ending(
     if kept and diagnosis.fits:
         kept = "fits"
     elif settings.smooth and problem.masks_alone:
-        kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights.loss) or kept
+        kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights) or kept
     start = cloud.moved(np.zeros_like(displacements))
     if kept:
         moved, displacements = start, np.zeros_like(displacements)
@@ -216,7 +210,7 @@ def _facts(
 def _outvoted(diagnosis: Diagnosis, weighed: WeighedProblem) -> Diagnosis:
     """The diagnosis; views that something is wrong with are outvoted only if they count little."""
     wrong = {view for finding in diagnosis.of_views for view in finding.views}
-    little = all(weighed.weights.inlier[view] < CONTRADICTED_WEIGHT for view in wrong)
+    little = all(weighed.weights[view] < CONTRADICTED_WEIGHT for view in wrong)
     return replace(diagnosis, outvoted=diagnosis.outvoted and little)
 
 

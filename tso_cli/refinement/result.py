@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from ..diagnosis.best_view import BestView
 from ..diagnosis.findings import Finding
 from ..diagnosis.trust import Trust
 from ..geometry.arrays import Array, Bits, Box
@@ -75,8 +74,7 @@ class ViewFit:
 
     name : of the view. camera : as it is meant, or where it moved to.
     iou_before, iou_after : as in `Fit`.
-    inlier_weight : under 1 where the other views contradict the view. loss_weight : of its loss in
-        the objective: the inlier weight, divided among views of the same side.
+    inlier_weight : of its loss in the objective: under 1 where the other views contradict the view.
     window : left, top, right, bottom edges, px, of the window that the cloud was compared with at
         last. cells : along its side.
     """
@@ -86,7 +84,6 @@ class ViewFit:
     iou_before: float
     iou_after: float
     inlier_weight: float
-    loss_weight: float
     window: Box
     cells: int
 
@@ -120,7 +117,7 @@ class RefineResult:
     determined : in [0, 1], the share of the points' motions that masks and depth maps fix
         (`diagnosis/determined.py`). None for the preset "paper" and the network modes.
     point_confidence : [N] in [0, 1], the same for each of the ``points``; 0 for outliers.
-        best_view : whose mask would help most. Both are None unless `RefineConfig` asks for them.
+        None unless `RefineConfig` asks for it.
     """
 
     points: Array
@@ -139,7 +136,6 @@ class RefineResult:
     findings: tuple[Finding, ...] = ()
     determined: float | None = None
     point_confidence: Array | None = None
-    best_view: BestView | None = None
 
     @property
     def moved(self) -> bool:

@@ -61,7 +61,7 @@ def run(
     idle = diagnosis.fits or bool(diagnosis.of_input and not settings.accept_doubtful)
     begin = None
     if settings.smooth and settings.steps and prior is not None and not idle:
-        of_start = problem, weighed.weights.loss, prior
+        of_start = problem, weighed.weights, prior
         begin = clock.attempt("move", partial(beginning, *of_start), None)
     report = on_progress and _in_unit_of(problem.cloud, on_progress)
     steps = 0 if clock.interrupted or idle else settings.steps

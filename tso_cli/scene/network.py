@@ -22,7 +22,6 @@ from ..io.views import NO_FILE, ViewFiles, load_views, require_same_size
 from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
 from ..network.input import network_input
-from ..optimisation.adam import Adam
 from ..optimisation.loop import minimise
 from ..optimisation.parameters import PointParameters
 from ..refinement.scene import RefineScene
@@ -245,8 +244,9 @@ def align_silhouette(
         )
         return value, projected.in_camera(gradient_px).sum(0, keepdims=True)
 
-    optimiser = Adam(ALIGNMENT_STEP * float(np.ptp(points, axis=0).max()))
-    best = minimise(PointParameters(np.zeros((1, 3)), optimiser), silhouette_loss, steps).best[0]
+    rate = ALIGNMENT_STEP * float(np.ptp(points, axis=0).max())
+    parameters = PointParameters(np.zeros((1, 3)), rate)
+    best = minimise(parameters, silhouette_loss, steps).best[0]
     return replace(view.camera, t=view.camera.t + best)
 
 

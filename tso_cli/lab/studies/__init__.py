@@ -19,7 +19,7 @@ QUESTIONS = {
     ),
     "determined": (
         "studies.determined.STUDY",
-        "How much of a shape does the evidence determine, and which further mask helps most?",
+        "How much of a shape does the evidence determine?",
     ),
     "pose": ("studies.pose.STUDY", "How well is a camera found from mask and cloud alone?"),
     "moves": ("studies.moves.STUDY", "What does moving a cloud as one bring?"),
