@@ -197,16 +197,6 @@ def test_the_help_is_one_screen_and_names_a_longer_one(refine, tso):
     assert "Camera:" in whole
 
 
-def test_a_refinement_says_what_was_decided_and_why(folder, refine):
-    options = "--steps", "6", "--points", "512"
-    document = refine("initial.ply", "mask.png", "--json", *options).document
-    decisions = {decision["what"]: decision for decision in document["decisions"]}
-    assert decisions["steps"]["reason"] == "as asked for"
-    assert decisions["points"]["choice"] == "512 of 1024"
-    run = refine("initial.ply", "mask.png", "-v", *options)
-    assert "  spent  steps: 6 (as asked for)" in run.out
-
-
 def test_points_are_a_number_or_auto(folder, refine):
     run = refine("initial.ply", "mask.png", "--points", "auto", "--steps", "2", "--json")
     assert run.document["moving"] == 1024

@@ -232,7 +232,6 @@ def why_unmoved(result: RefineResult) -> str | None:
         "interrupted": f"interrupted at step {fit.steps}, before one lowered the loss",
         "non_finite": f"the loss was not a number after step {fit.steps}, and no loss before was "
         "lower than the loss of the start",
-        "nothing_to_do": f"the cloud already agrees with all that {masks}",
         "fits": f"the cloud fits the contours that {masks}",
         "not_improved": f"nothing that was tried agrees better with what {masks}",
     }[fit.stop_reason]
@@ -249,8 +248,7 @@ def _of_course(result: RefineResult) -> str | None:
     if fit.stop_reason == "fits":
         return None
     if reason and not _withheld(fit):
-        what = "nothing to do" if fit.stop_reason == "nothing_to_do" else "nothing moved"
-        return f"{what}: {reason}; the cloud is as it was"
+        return f"nothing moved: {reason}; the cloud is as it was"
     if fit.stop_reason == "interrupted":
         best = "start" if reason else "best so far"
         return f"interrupted at step {fit.steps} of {steps}: the result is the {best}"
