@@ -10,7 +10,6 @@ from typing import Any
 from ..diagnosis.assumptions import INVERTED, Assumption
 from ..diagnosis.examine import IN_PIXELS, NoOverlapError
 from ..diagnosis.findings import ASSUMED_CAMERA, OF_DEPTH_MAPS, Finding
-from ..diagnosis.placement import describe_box
 from ..diagnosis.trust import FINDING
 from ..errors import InputError
 from ..refinement import RefineResult
@@ -167,14 +166,10 @@ class Words:
 
     def no_overlap(self, error: NoOverlapError) -> InputError:
         """The error with advice by options."""
-        general = error.advice.replace(IN_PIXELS, f"{IN_PIXELS} {UNITS}")
-        advice = self.suspicion(error.diagnosis.suspicious) or f"{general}; {LOOK}"
-        if error.part:
-            advice = (
-                f"it meets a part of the mask ({describe_box(error.part)}): is the rest something "
-                "else? Erase it, or leave it out by --ignore FILE"
-            )
-        return InputError(f"{error.problem}; {advice}")
+        diagnosis = error.diagnosis
+        general = diagnosis.advice.replace(IN_PIXELS, f"{IN_PIXELS} {UNITS}")
+        advice = self.suspicion(diagnosis.suspicious) or f"{general}; {LOOK}"
+        return InputError(f"{diagnosis.apart}; {advice}")
 
     def reason(self, result: RefineResult) -> str:
         """Why a result is doubtful or has no confidence; "" if there is no reason."""
