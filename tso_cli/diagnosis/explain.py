@@ -170,7 +170,8 @@ def _of_views(table: Table, shown: Indices) -> list[Finding]:
         others = table.ious[0, shown[shown != view]]
         # By the median, so that another bad view does not hide this one.
         if len(others) and np.median(others) >= table.ious[0, view] + BELOW_OTHERS:
-            found += table.likely([view], of_cloud=False)
+            candidates = table.likely([view], of_cloud=False)
+            found += [one for one in candidates if one.score >= np.median(others) - SIMILAR]
     return found
 
 

@@ -14,8 +14,8 @@ from .assumptions import Assumption, as_meant
 from .findings import Finding
 
 # A hypothesis is confirmed if a cloud of other proportions misses less than this share of what it
-# misses as given, plus what silhouettes gain: an inverted mask has the same contours.
-LEFT = 0.84
+# misses as given. Of 160 right inputs one is then called wrong; of 410 mistakes 320 are named.
+LEFT = 0.88
 
 
 def confirmed(
@@ -38,7 +38,9 @@ def confirmed(
         shown = tuple(mask for mask, _ in closed(finding.pairs)) or finding.views
         views = views_under(finding, read, given)
         missed = _missed(body, [views[number] for number in shown])
-        if missed < (LEFT + finding.gain) * as_given(shown):
+        # An inverted mask has the same contours.
+        inverted = any(one.inverted for one in finding.hypotheses)
+        if inverted or missed < LEFT * as_given(shown):
             likely.append((missed - finding.gain, finding))
     return tuple(finding for _, finding in sorted(likely, key=lambda pair: pair[0]))
 
