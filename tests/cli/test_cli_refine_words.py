@@ -112,9 +112,8 @@ def test_an_object_of_a_few_pixels_in_a_photo_is_warned_of_in_every_mode(
     write_cameras(
         Path("few.camera.json"), [CameraRecord(replace(camera, K=K, width=640, height=480))]
     )
-    seen = f"only {rows * columns} pixels: details smaller than 1/{rows} of its size cannot be seen"
     expected = (
-        "a single pixel, which shows where it is and nothing of its shape" if rows == 1 else seen
+        f"few pixels ({rows * columns}): details smaller than 1/{rows} of its size cannot be seen"
     )
     source = ("initial.ply",) if mode == "points" else ("photo.png", "--checkpoint", checkpoint)
     for preset in ("best", "paper"):

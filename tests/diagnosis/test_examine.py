@@ -132,7 +132,7 @@ def test_notes_name_what_is_worth_reading(cloud):
     clump = np.random.default_rng(0).normal([0.0, 0.0, 3.0], 0.01, (300, 3))
     view = View(mask, camera)
     diagnosis = examined(np.vstack([cloud, clump]), [view])
-    expected = ["scale", "specks", "behind"]
+    expected = ["specks", "behind"]
     assert named(diagnosis.notes) == [(name, (0,)) for name in expected]
     assert not any(note.suspicious for note in diagnosis.notes)
 

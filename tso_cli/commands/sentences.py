@@ -52,7 +52,6 @@ OPTIONS_OF_NOTES = {
     "depth-affine": ": try --depth-kind affine",
     "depth-ray": ": try --depth-kind ray",
     "depth-unrelated": " (--depth-kind z uses it all the same)",
-    "rescaled": " (--depth-scale)",
     "left-out": " (--crop writes the object alone)",
     ASSUMED_CAMERA: " (--camera FILE, or --camera fit)",
     "assumed-picture": " (--camera FILE)",

@@ -193,10 +193,7 @@ def _notes(
         found.append(Finding("faint", values={"count": count}))
     for number, (view, placement) in enumerate(zip(views, placements, strict=True)):
         if input_as_given:
-            found += [
-                symptoms.photo(view, number),
-                symptoms.scale(points, view, number),
-            ]
+            found.append(symptoms.photo(view, number))
         found += [
             symptoms.coarse(view, number, len(points)),
             symptoms.specks(view, number),

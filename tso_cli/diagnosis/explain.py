@@ -36,8 +36,9 @@ GAIN = 0.04
 LEAST_IOU = 0.4
 # Hypotheses that differ by less agree about as well.
 SIMILAR = 0.03
-# A single view may be wrong if it agrees by so much less than the median of the others.
-BELOW_OTHERS = 0.1
+# A single view may be wrong if it agrees by so much less than the median of the others, and by so
+# much better under a hypothesis.
+BELOW_OTHERS = 0.15
 # A width that K may be of differs from the width of the picture by this share.
 OTHER_WIDTH = 0.05
 # Widths that are tried: those of the most views.
@@ -171,7 +172,7 @@ def _of_views(table: Table, shown: Indices) -> list[Finding]:
         # By the median, so that another bad view does not hide this one.
         if len(others) and np.median(others) >= table.ious[0, view] + BELOW_OTHERS:
             candidates = table.likely([view], of_cloud=False)
-            found += [one for one in candidates if one.score >= np.median(others) - SIMILAR]
+            found += [one for one in candidates if one.gain >= BELOW_OTHERS]
     return found
 
 

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
+
 from ..errors import InputError
 from ..geometry.view import View
 from ..pose.causes import missed_if_stretched
@@ -40,18 +42,18 @@ def confirmed(
         missed = _missed(body, [views[number] for number in shown])
         # An inverted mask has the same contours.
         inverted = any(one.inverted for one in finding.hypotheses)
-        if inverted or missed < LEFT * as_given(shown):
+        if missed < (np.inf if inverted else LEFT * as_given(shown)):
             likely.append((missed - finding.gain, finding))
     return tuple(finding for _, finding in sorted(likely, key=lambda pair: pair[0]))
 
 
 def _missed(body: Body, views: Sequence[View]) -> float:
-    """The share of the contours that a stretched cloud misses; 1 where it cannot be compared."""
+    """The share of the contours that a stretched cloud misses; infinite if there are none."""
     try:
         return missed_if_stretched(body, views)
     except InputError:
         # The mask may show nothing where the hypothesis has its object.
-        return 1.0
+        return np.inf
 
 
 def views_under(
