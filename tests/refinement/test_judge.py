@@ -53,13 +53,14 @@ RIGHT = np.array([1.0, 0.0, 0.0]) / 24.0
     ("middle", "step", "right", "stop_reason"),
     [
         (28.0, 1.0, 3.0, "max_steps"),
+        (28.0, 1.0, -1.0, "not_improved"),
         # The IoU of a start that hardly touches its mask says nothing: its overlap is doubtful.
         (9.5, 1.0, -1.0, "doubtful"),
         (9.5, 1 / 3, -1.0, "doubtful"),
         (9.5, 1 / 3, 1.0, "doubtful"),
     ],
 )
-def test_a_displacement_is_taken_unless_it_is_doubtful(middle, step, right, stop_reason):
+def test_where_the_iou_would_fall_the_start_is_returned(middle, step, right, stop_reason):
     points = _square(middle, step)
     result = _judged(points, MASK, right * RIGHT)
     assert result.fit.stop_reason == stop_reason
@@ -76,7 +77,7 @@ def test_a_displacement_is_taken_unless_it_is_doubtful(middle, step, right, stop
         assert result.fit.loss_after == result.fit.loss_before == 2.0
         assert result.fit.moved_max == 0.0
         assert result.fit.chamfer_to_initial == 0.0
-        assert result.trust.verdict == "doubtful"
+        assert result.trust.verdict == ("doubtful" if stop_reason == "doubtful" else "left")
 
 
 def test_an_iterate_after_the_loss_stopped_being_a_number_is_never_taken():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..diagnosis.assumptions import INVERTED, Assumption
-from ..diagnosis.examine import IN_PIXELS, NoOverlapError
+from ..diagnosis.examine import AXES_ADVICE, NoOverlapError
 from ..diagnosis.findings import ASSUMED_CAMERA, OF_DEPTH_MAPS, Finding
 from ..diagnosis.trust import FINDING
 from ..errors import InputError
@@ -20,7 +20,6 @@ from .sentences_of_moves import reading_of
 SMALL_DISPLACEMENT = 1e-3
 # Pairs of masks and cameras that are named.
 MOST_PAIRS = 3
-UNITS = "if not, try --assume K-normalised, K-ndc or focal-mm-36"
 LOOK = (
     "look at the numbers with --check, or let the masks place the cloud with --move pose or "
     "similarity"
@@ -166,8 +165,7 @@ class Words:
     def no_overlap(self, error: NoOverlapError) -> InputError:
         """The error with advice by options."""
         diagnosis = error.diagnosis
-        general = diagnosis.advice.replace(IN_PIXELS, f"{IN_PIXELS} {UNITS}")
-        advice = self.suspicion(diagnosis.suspicious) or f"{general}; {LOOK}"
+        advice = self.suspicion(diagnosis.suspicious) or f"{AXES_ADVICE}; {LOOK}"
         return InputError(f"{diagnosis.apart}; {advice}")
 
     def reason(self, result: RefineResult) -> str:
@@ -198,7 +196,7 @@ def _is_turned_cloud(finding: Finding) -> bool:
     if finding.without or len(finding.hypotheses) != 1:
         return False
     (hypothesis,) = finding.hypotheses
-    return hypothesis.of_cloud and hypothesis.turns
+    return hypothesis.turns
 
 
 def shown(confidence: float) -> str:

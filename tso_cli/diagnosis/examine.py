@@ -22,7 +22,6 @@ from .cells import Outline
 from .explain import explain
 from .findings import Finding
 from .foreign_parts import parts_that_explain
-from .hypotheses import focal_in_pixels
 from .placement import Placement, place, why_apart
 from .verification import confirmed
 
@@ -33,9 +32,8 @@ OUTVOTED_SHARE = 0.5
 # What is said where nothing explains why cloud and mask do not meet.
 AXES_ADVICE = (
     "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and "
-    "units"
+    "units (K in pixels)"
 )
-IN_PIXELS = "is K in pixels?"
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,6 @@ class Diagnosis:
     outvoted : whether the suspicious views are few, so that the others outvote them.
     fits : whether the cloud fits the contours of the masks, and of what they show of the object.
     apart : the view in which cloud and mask do not meet, and why, in words; "" where they meet.
-    advice : what to look at there if nothing else is found.
     """
 
     placements: tuple[Placement, ...]
@@ -60,7 +57,6 @@ class Diagnosis:
     outvoted: bool = False
     fits: bool = False
     apart: str = ""
-    advice: str = AXES_ADVICE
 
     @property
     def suspicious(self) -> tuple[Finding, ...]:
@@ -83,7 +79,7 @@ class NoOverlapError(InputError):
     """A ``cloud`` and a mask that do not meet, as the ``diagnosis`` says."""
 
     def __init__(self, diagnosis: Diagnosis, cloud: ControlledCloud) -> None:
-        advice = diagnosis.advice
+        advice = AXES_ADVICE
         if diagnosis.suspicious:
             advice = f"it looks as if {' or '.join(one.says for one in diagnosis.suspicious)}"
         super().__init__(f"{diagnosis.apart}; {advice}")
@@ -109,10 +105,7 @@ def examine(
     diagnosis = Diagnosis(placements, notes=tuple(notes))
     for placement, view in zip(placements, views, strict=True):
         if (problem := why_apart(placement, view)) and not diagnosis.apart:
-            advice = AXES_ADVICE
-            if not focal_in_pixels(view.camera):
-                advice = f"the focal length is {view.camera.K[0, 0]:.3g} px, {IN_PIXELS}"
-            diagnosis = replace(diagnosis, apart=f"{view.name}: {problem}", advice=advice)
+            diagnosis = replace(diagnosis, apart=f"{view.name}: {problem}")
     return _explained(diagnosis, cloud, read, views, assumptions) if hypotheses else diagnosis
 
 

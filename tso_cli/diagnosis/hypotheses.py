@@ -85,8 +85,8 @@ class Hypothesis:
 
     @property
     def turns(self) -> bool:
-        """Whether the object is turned, so that it has other extents in the picture."""
-        return self.axes != "x y z" or self.picture != "x y" or self in OF_AXES
+        """Whether the cloud is turned, so that it has other extents in the picture."""
+        return self.axes != "x y z"
 
     @cached_property
     def matrix(self) -> Array:

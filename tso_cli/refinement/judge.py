@@ -64,9 +64,13 @@ def judge(
     improved = not diagnosis.fits and (optimised.best_step > 0 or by_prior)
     if improved:
         moved = cloud.moved(optimised.best - cloud.start)
-    of_shape = ious = _ious(problem, problem.views, moved)
-    if move.kind != "nothing":
-        ious = _ious(problem, given, moved)
+    of_shape = _ious(problem, problem.views, moved)
+    before, after = np.average(of_shape, axis=0, weights=weights.loss)
+    if settings.smooth and problem.masks_alone and after < before:
+        # The loss counts distances, and may fall while the IoU falls too.
+        improved, moved = False, start
+        of_shape = [(iou, iou) for iou, _ in of_shape]
+    ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
     trust = _trust(problem, optimised, moved, improved, move, diagnosis, settings, of_shape)
     doubtful = trust.verdict == "doubtful" and not (trust.moves or settings.accept_doubtful)
     if doubtful:
