@@ -10,7 +10,7 @@ from tso_cli import Camera, View
 from tso_cli.diagnosis.assumptions import assumptions_of
 from tso_cli.diagnosis.cells import Outline
 from tso_cli.diagnosis.explain import MOST_CANDIDATES, Table, agreement
-from tso_cli.diagnosis.hypotheses import FOCAL_UNITS, HYPOTHESES, hypothesis_called
+from tso_cli.diagnosis.hypotheses import FOCAL_UNITS, HYPOTHESES
 from tso_cli.geometry.points import scattered
 from tso_cli.losses.silhouette import silhouette_of
 
@@ -222,9 +222,7 @@ def test_a_width_that_no_assumption_can_name_is_not_tried():
     camera = replace(PLANE.camera, K=np.diag([1e4, 1e4, 1.0]) @ PLANE.camera.K)
     outlines = [Outline(replace(PLANE.view, camera=camera))]
     tried = [one for two in Table(PLANE.points, outlines, ()).candidates for one in two.changed]
-    assert [one for one in tried if one.text.startswith("K-of-width")]
-    for one in tried:
-        assert hypothesis_called(one.text) == one.hypothesis
+    assert not [one for one in tried if one.text.startswith("K-of-width")]
 
 
 def test_a_wrong_width_of_K_is_left_out_and_not_mended_by_another_width():

@@ -147,18 +147,17 @@ def _candidates(given: tuple[Assumption, ...], cameras: Sequence[Camera]) -> Ite
 def _widths(cameras: Sequence[Camera]) -> list[tuple[int, ...]]:
     """Widths, or widths and heights, of other images that K may be of.
 
-    The principal point lies in the middle of such an image. Half and twice the width are tried too.
+    The principal point lies in the middle of such an image.
     """
     found: Counter[tuple[int, ...]] = Counter()
     for camera in cameras:
         size = np.array([camera.width, camera.height])
         of_K = 2.0 * camera.K[:2, 2] + 1.0
-        found.update({(round(camera.width / 2),): 1, (2 * camera.width,): 1})
         if (of_K < 2.0).any() or (np.abs(of_K / size - 1.0) < OTHER_WIDTH).all():
             continue
         width, height = (int(length) for length in np.rint(of_K))
         kept = abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1.0) < OTHER_WIDTH
-        found[(width,) if kept else (width, height)] += 2
+        found[(width,) if kept else (width, height)] += 1
     # A width of 0 has no name, and neither has one of seven digits.
     named = [size for size, _ in found.most_common() if hypothesis_called(of_width(*size).name)]
     return named[:MOST_WIDTHS]
