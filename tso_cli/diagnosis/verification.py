@@ -16,7 +16,7 @@ from .assumptions import Assumption, as_meant
 from .findings import Finding
 
 # A hypothesis is confirmed if a cloud of other proportions misses less than this share of what it
-# misses as given. Of 160 right inputs one is then called wrong; of 410 mistakes 320 are named.
+# misses as given. Of 378 right inputs six are then called wrong; of 297 mistakes 257 are named.
 LEFT = 0.88
 
 
