@@ -30,14 +30,14 @@ from .hypotheses import (
     of_width,
 )
 
-# A hypothesis may be right if silhouettes then agree by so much better, as IoU ...
+# A hypothesis may be right if silhouettes then agree better by this IoU ...
 GAIN = 0.04
 # ... and at least so far.
 LEAST_IOU = 0.4
 # Hypotheses that differ by less agree about as well.
 SIMILAR = 0.03
-# A single view may be wrong if it agrees by so much less than the median of the others, and by so
-# much better under a hypothesis.
+# A single view may be wrong if its IoU is lower than the median of the others by this, and higher
+# by this under a hypothesis.
 BELOW_OTHERS = 0.15
 # A width that K may be of differs from the width of the picture by this share.
 OTHER_WIDTH = 0.05
