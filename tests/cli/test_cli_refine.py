@@ -63,7 +63,7 @@ def test_json_is_one_document_with_all_promised_entries(folder, refine):
         "chamfer_to_initial prior "
         "moving points outliers symmetry symmetry_outcome symmetry_reason learning_rate gamma "
         "sigma_sq device checkpoint frame confidence verdict reason warnings suspects moved "
-        "decisions convention seconds version"
+        "convention seconds version"
     )
     assert set(promised.split()) <= set(document)
     assert document["mode"] == "points"

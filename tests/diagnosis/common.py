@@ -8,10 +8,8 @@ import numpy as np
 from tests.scenes import example, seen, turned
 from tso_cli import View
 from tso_cli.cloud.cloud import Cloud
-from tso_cli.diagnosis.assumptions import Assumption, as_meant, assumptions_of
-from tso_cli.diagnosis.cells import Outline
-from tso_cli.diagnosis.examine import Diagnosis, NoOverlapError, examine
-from tso_cli.diagnosis.explain import Explanation, explain
+from tso_cli.diagnosis.assumptions import Assumption, as_meant
+from tso_cli.diagnosis.examine import Diagnosis, examine
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.diagnosis.hypotheses import HYPOTHESES
 
@@ -42,29 +40,12 @@ def paired(views: Sequence[View], order: Sequence[int]) -> list[View]:
     return [replace(views[i], camera=view.camera) for i, view in zip(order, views, strict=True)]
 
 
-def explained(
-    points: np.ndarray, views: Sequence[View], given: Sequence[Assumption] = ()
-) -> Explanation:
-    """`explain` for ``views`` as they were read, none of them a bounding box."""
-    outlines = [Outline(view, given) for view in views]
-    return explain(points, outlines, given, np.zeros(len(views), bool))
-
-
 def examined(
-    points: np.ndarray,
-    views: Sequence[View],
-    assume: Sequence[str] = (),
-    known: Sequence[Finding] = (),
-    hypotheses: bool = True,
+    points: np.ndarray, views: Sequence[View], given: Sequence[Assumption] = ()
 ) -> Diagnosis:
-    """`examine` for ``views`` as they were read; also where cloud and mask do not meet."""
-    given = assumptions_of(assume, [view.name for view in views])
+    """The diagnosis of points and ``views`` as they were read."""
     meant = [as_meant(view, given) for view in views]
-    cloud = Cloud(points, "cloud").controlled(views=meant)
-    try:
-        return examine(cloud, views, meant, given, known, hypotheses)
-    except NoOverlapError as error:
-        return error.diagnosis
+    return examine(Cloud(points, "cloud").controlled(views=meant), views, meant, given)
 
 
 def named(findings: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:

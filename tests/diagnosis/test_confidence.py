@@ -8,7 +8,7 @@ import pytest
 from tests.scenes import about, example, in_photo, seen, turned
 from tso_cli import RefineConfig, View, refine
 from tso_cli.diagnosis.confidence import REASONS, _model, confidence_of
-from tso_cli.diagnosis.examine import Diagnosis, examine
+from tso_cli.diagnosis.examine import Diagnosis
 from tso_cli.diagnosis.findings import Finding
 from tso_cli.diagnosis.trust import FINDING
 from tso_cli.optimisation.learned_start import beginning
@@ -116,8 +116,6 @@ def _judged(diagnosis: Diagnosis, inlier_weight: float = 1.0) -> RefineResult:
     settings = RefineConfig().settings(1)
     scene = as_scene(AIRPLANE.points, AIRPLANE.view)
     cloud = scene.cloud.controlled(settings.points, scene.views)
-    found = examine(cloud, scene.read, scene.views)
-    diagnosis = replace(diagnosis, explanation=found.explanation)
     weighed = weigh(prepare(cloud, scene.views, settings), settings)
     prior = named_prior(settings.prior)
     begin = beginning(weighed.problem, weighed.weights, prior)

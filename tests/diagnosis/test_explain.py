@@ -9,8 +9,9 @@ from tests.scenes import example, in_photo, seen, turned
 from tso_cli import Camera, View
 from tso_cli.diagnosis.assumptions import assumptions_of
 from tso_cli.diagnosis.cells import Outline
-from tso_cli.diagnosis.explain import MOST_ALTERNATIVES, Margin, Table
-from tso_cli.diagnosis.hypotheses import FOCAL_UNITS, HYPOTHESES, hypothesis_called
+from tso_cli.diagnosis.explain import MOST_CANDIDATES, Table, agreement
+from tso_cli.diagnosis.hypotheses import FOCAL_UNITS, HYPOTHESES
+from tso_cli.geometry.points import scattered
 from tso_cli.losses.silhouette import silhouette_of
 
 from .common import (
@@ -20,7 +21,6 @@ from .common import (
     assumed,
     changed,
     examined,
-    explained,
     named,
     paired,
 )
@@ -32,14 +32,14 @@ from .mistakes import INVISIBLE, mistaken
 @pytest.mark.parametrize("name", sorted(set(HYPOTHESES) - INVISIBLE))
 def test_a_mistake_is_found_before_the_start(name):
     points, view = mistaken(name)
-    found = explained(points, [view]).of_input
+    found = examined(points, [view]).of_input
     assert name in [finding.name for finding in found]
-    assert len(found) <= MOST_ALTERNATIVES
+    assert len(found) <= MOST_CANDIDATES
     for finding in found:
         assert finding.views == (0,)
         assert finding.suspicious
         assert 0.4 <= finding.score <= 1.0
-        assert 0.1 < finding.gain <= finding.score
+        assert 0.04 <= finding.gain <= finding.score
 
 
 @pytest.mark.parametrize("millimetres", [36, 32])
@@ -51,7 +51,7 @@ def test_a_focal_length_in_millimetres_is_found_in_a_large_picture(millimetres):
     K[[0, 1], [0, 1]] *= millimetres / width
     mask = np.kron(scene.mask, np.ones((4, 4), np.float32))
     view = replace(scene.view, mask=mask, known=None, camera=replace(camera, K=K))
-    found = explained(scene.target, [view]).of_input
+    found = examined(scene.target, [view]).of_input
     assert f"focal-mm-{millimetres}" in [finding.name for finding in found]
 
 
@@ -62,7 +62,7 @@ def test_a_focal_length_in_millimetres_does_not_pass_for_a_camera_inside_the_clo
     K = scene.camera.K.copy()
     K[[0, 1], [0, 1]] *= 36.0 / scene.camera.width
     view = replace(scene.view, camera=replace(scene.camera, K=K))
-    names = [finding.name for finding in explained(scene.points, [view]).of_input]
+    names = [finding.name for finding in examined(scene.points, [view]).of_input]
     assert "focal-mm-36" in names
     assert not [name for name in names if name.startswith("camera-")]
 
@@ -73,7 +73,7 @@ def test_another_unit_of_the_focal_length_is_not_tried_where_pixels_are_plausibl
     K = np.diag([0.3, 0.3, 1.0]) @ scene.camera.K
     wide = replace(scene.view, camera=replace(scene.camera, K=K))
     for view in (scene.view, wide):
-        names = [finding.name for finding in explained(scene.target, [view]).of_input]
+        names = [finding.name for finding in examined(scene.target, [view]).of_input]
         assert not {hypothesis.name for hypothesis in FOCAL_UNITS} & set(names)
 
 
@@ -81,7 +81,7 @@ def test_another_unit_of_the_focal_length_is_not_tried_where_pixels_are_plausibl
 def test_right_input_is_not_suspicious(name):
     scene = example(name)
     for points in (scene.points, scene.target):
-        assert explained(points, [scene.view]).of_input == ()
+        assert examined(points, [scene.view]).of_input == ()
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -95,7 +95,7 @@ def test_right_input_of_a_few_pixels_is_not_suspicious(name, times):
     K[:2, 2] -= 0.5 - 0.5 / times
     if pixels.any():
         view = View(np.float32(pixels), replace(large.camera, K=K, width=64, height=64))
-        assert explained(scene.points, [view]).of_input == ()
+        assert examined(scene.points, [view]).of_input == ()
 
 
 def test_the_order_of_the_points_does_not_matter():
@@ -103,22 +103,22 @@ def test_the_order_of_the_points_does_not_matter():
     side = np.linspace(-0.5, 0.5, 1024)
     grid = np.stack([np.repeat(side, 1024), np.tile(side, 1024), np.zeros(1024 * 1024)], 1)
     shuffled = np.random.default_rng(0).permutation(grid)
-    ious = [examined(points, [PLANE.view]).explanation.as_given for points in (grid, shuffled)]
+    ious = [agreement(scattered(points, 1024), [PLANE.view]) for points in (grid, shuffled)]
     assert ious[0] == pytest.approx(ious[1], abs=0.05)
 
 
 def test_points_on_unknown_pixels_are_no_disagreement():
     known = np.ones(PLANE.mask.shape, bool)
     known[:, : known.shape[1] // 2] = False
-    half = explained(PLANE.target, [replace(PLANE.view, known=known)]).as_given
-    assert half > 0.9 * explained(PLANE.target, [PLANE.view]).as_given
+    half = agreement(PLANE.target, [replace(PLANE.view, known=known)])
+    assert half > 0.9 * agreement(PLANE.target, [PLANE.view])
 
 
 def test_an_object_that_the_border_truncates_does_not_pass_for_an_inverted_mask():
     K = PLANE.camera.K * [[3.0, 1.0, 1.0], [1.0, 3.0, 1.0], [1.0, 1.0, 1.0]]
     camera = replace(PLANE.camera, K=K)
     near = View(silhouette_of(PLANE.target, camera), camera)
-    found = explained(PLANE.points, [near]).of_input
+    found = examined(PLANE.points, [near]).of_input
     assert "mask-inverted" not in [finding.name for finding in found]
 
 
@@ -126,7 +126,7 @@ def test_the_unknown_part_of_a_border_does_not_hide_that_a_mask_is_inverted():
     known = np.ones(PLANE.mask.shape, bool)
     known[:, : known.shape[1] // 2 - 20] = False
     mask = np.where(known, 1.0 - PLANE.mask, 0.0).astype(np.float32)
-    found = explained(PLANE.target, [replace(PLANE.view, mask=mask, known=known)]).of_input
+    found = examined(PLANE.target, [replace(PLANE.view, mask=mask, known=known)]).of_input
     assert found[0].name == "mask-inverted"
 
 
@@ -135,7 +135,7 @@ def test_the_unknown_part_of_a_border_does_not_hide_that_a_mask_is_inverted():
 
 @pytest.mark.parametrize("name", ["mask-inverted", "cloud-z-up", "opengl"])
 def test_a_wrong_assumption_is_the_only_finding(name):
-    found = explained(PLANE.target, [PLANE.view], assumed(name)).of_input
+    found = examined(PLANE.target, [PLANE.view], assumed(name)).of_input
     assert [finding.without for finding in found] == list(assumed(name))
     assert [finding.name for finding in found] == [name]
 
@@ -143,16 +143,15 @@ def test_a_wrong_assumption_is_the_only_finding(name):
 @pytest.mark.parametrize("name", ["mask-inverted", "mask-flipped", "cloud-z-up", "opengl"])
 def test_under_a_right_assumption_nothing_is_found(name):
     points, view = mistaken(name)
-    found = explained(points, [view], assumed(name))
+    found = examined(points, [view], assumed(name))
     assert found.of_input == ()
     assert found.of_views == ()
-    assert found.as_given == pytest.approx(explained(PLANE.target, [PLANE.view]).as_given, abs=0.02)
 
 
 def test_a_wrong_assumption_about_one_view_is_found_as_it_was_given():
     views = around()
     given = assumptions_of([f"mask-inverted@{views[1].name}"], [view.name for view in views])
-    (finding,) = explained(PLANE.target, views, given).of_input
+    (finding,) = examined(PLANE.target, views, given).of_input
     assert finding.without == given[0]
     assert finding.gain > 0.16
 
@@ -163,12 +162,12 @@ def test_a_wrong_assumption_about_one_view_is_found_as_it_was_given():
 @pytest.mark.parametrize("name", ["mask-inverted", "mask-upside-down", "opengl", "camera-to-world"])
 def test_a_mistake_in_one_view_of_several_is_found_there(name):
     views = around(3)
-    assert explained(PLANE.points, views).of_views == ()
-    found = explained(PLANE.points, [*views[:2], changed(views[2], name)])
+    assert examined(PLANE.points, views).of_views == ()
+    found = examined(PLANE.points, [*views[:2], changed(views[2], name)])
     assert found.of_input == ()
     assert named(found.of_views) == [(name, (2,))]
     (finding,) = found.of_views
-    alone = explained(PLANE.points, views[2:]).as_given
+    alone = agreement(PLANE.points, views[2:])
     assert finding.score == pytest.approx(alone, abs=0.02)
 
 
@@ -177,7 +176,7 @@ def test_a_mistake_in_one_view_of_several_is_found_there(name):
 def test_of_two_views_the_one_that_the_cloud_does_not_fit_is_the_wrong_one(name, wrong):
     views = around(2)
     views[wrong] = changed(views[wrong], name)
-    assert named(explained(PLANE.points, views).of_views) == [(name, (wrong,))]
+    assert named(examined(PLANE.points, views).of_views) == [(name, (wrong,))]
 
 
 # Of two mistakes at once, of widths
@@ -187,7 +186,7 @@ def test_of_two_views_the_one_that_the_cloud_does_not_fit_is_the_wrong_one(name,
 def test_two_mistakes_at_once_are_found_as_a_pair(camera, cloud):
     opposite = {"cloud-z-up": "cloud-y-up", "cloud-y-up": "cloud-z-up"}[cloud]
     points = PLANE.points @ HYPOTHESES[opposite].matrix.T
-    found = explained(points, [changed(PLANE.view, camera)]).of_input
+    found = examined(points, [changed(PLANE.view, camera)]).of_input
     assert f"{camera}+{cloud}" in [finding.name for finding in found]
 
 
@@ -199,14 +198,14 @@ def test_a_focal_length_in_millimetres_is_found_with_wrong_axes():
     K = camera.K.copy()
     K[[0, 1], [0, 1]] *= 32.0 / width
     view = View(np.kron(scene.mask, np.ones((4, 4), np.float32)), camera)
-    found = explained(scene.target, [replace(view, camera=replace(camera, K=K))]).of_input
+    found = examined(scene.target, [replace(view, camera=replace(camera, K=K))]).of_input
     assert "focal-mm-32+pix3d" in [finding.name for finding in found]
 
 
 @pytest.mark.parametrize("width", [97, 518])
 def test_the_principal_point_tells_the_width_that_K_is_of(width):
     K = PLANE.camera.resized(width, width * PLANE.camera.height // PLANE.camera.width).K
-    found = explained(PLANE.points, [replace(PLANE.view, camera=replace(PLANE.camera, K=K))])
+    found = examined(PLANE.points, [replace(PLANE.view, camera=replace(PLANE.camera, K=K))])
     assert f"K-of-width={width}" in [finding.name for finding in found.of_input]
 
 
@@ -215,7 +214,7 @@ def test_a_picture_of_one_column_or_row_has_no_half(size):
     mask = np.zeros(64, np.float32)
     mask[8:56] = 1.0
     view = View(mask.reshape(size), Camera.canonical(*size[::-1]))
-    explained(PLANE.points, [view])
+    examined(PLANE.points, [view])
 
 
 def test_a_width_that_no_assumption_can_name_is_not_tried():
@@ -223,18 +222,16 @@ def test_a_width_that_no_assumption_can_name_is_not_tried():
     camera = replace(PLANE.camera, K=np.diag([1e4, 1e4, 1.0]) @ PLANE.camera.K)
     outlines = [Outline(replace(PLANE.view, camera=camera))]
     tried = [one for two in Table(PLANE.points, outlines, ()).candidates for one in two.changed]
-    assert [one for one in tried if one.text.startswith("K-of-width")]
-    for one in tried:
-        assert hypothesis_called(one.text) == one.hypothesis
+    assert not [one for one in tried if one.text.startswith("K-of-width")]
 
 
 def test_a_wrong_width_of_K_is_left_out_and_not_mended_by_another_width():
     given = assumptions_of(["K-of-width=518"], [PLANE.view.name])
-    (finding,) = explained(PLANE.points, [PLANE.view], given).of_input
+    (finding,) = examined(PLANE.points, [PLANE.view], given).of_input
     assert finding.without == given[0]
 
 
-@pytest.mark.parametrize("times", [0.56, 0.7, 1.4, 1.8])
+@pytest.mark.parametrize("times", [0.6, 0.7, 1.4, 1.8])
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_stretched_can_is_no_can_with_exchanged_axes(axis, times):
     rng = np.random.default_rng(0)
@@ -244,14 +241,14 @@ def test_a_stretched_can_is_no_can_with_exchanged_axes(axis, times):
     scale[axis] = times
     for degrees in (0.0, 40.0):
         view = seen(can, turned(PLANE.camera, degrees))
-        assert explained(can * scale, [view]).of_input == ()
+        assert examined(can * scale, [view]).of_input == ()
 
 
 def test_two_wrong_views_of_four_are_both_found():
     views = around()
     for number in (1, 2):
         views[number] = changed(views[number], "mask-inverted")
-    found = explained(PLANE.target, views).of_views
+    found = examined(PLANE.target, views).of_views
     assert named(found) == [("mask-inverted", (1,)), ("mask-inverted", (2,))]
 
 
@@ -260,7 +257,7 @@ def test_a_mistake_in_the_cloud_is_never_found_in_a_single_view():
     # As if the cloud were turned for one camera alone.
     of_cloud = HYPOTHESES["cloud-upside-down"].matrix
     camera = replace(views[2].camera, R=views[2].camera.R @ of_cloud)
-    found = explained(PLANE.points, [*views[:2], replace(views[2], camera=camera)])
+    found = examined(PLANE.points, [*views[:2], replace(views[2], camera=camera)])
     assert not any(HYPOTHESES[finding.name].of_cloud for finding in found.of_views)
 
 
@@ -269,7 +266,7 @@ def test_a_mistake_in_the_cloud_is_never_found_in_a_single_view():
 
 @pytest.mark.parametrize("order", [[1, 0], [1, 0, 2], [1, 2, 3, 0]])
 def test_masks_that_are_not_in_the_order_of_their_cameras_are_found_in_pairs(order):
-    found = explained(PLANE.points, paired(around(len(order)), order))
+    found = examined(PLANE.points, paired(around(len(order)), order))
     assert found.of_views == ()
     (finding,) = found.of_input
     moved = [camera for camera, mask in enumerate(order) if mask != camera]
@@ -284,14 +281,13 @@ def test_masks_that_are_not_in_the_order_of_their_cameras_are_found_in_pairs(ord
 def test_several_masks_that_are_exchanged_need_to_gain_less_than_one(name, degrees):
     scene = example(name)
     views = [seen(scene.target, turned(scene.camera, degrees * i)) for i in range(4)]
-    (finding,) = explained(scene.points, paired(views, [1, 2, 3, 0])).of_input
+    (finding,) = examined(scene.points, paired(views, [1, 2, 3, 0])).of_input
     assert finding.pairs == ((3, 0), (0, 1), (1, 2), (2, 3))
-    assert finding.gain < Margin.FOUND
 
 
 def test_a_pair_among_many_is_a_finding_of_views():
     views = around(8)
-    found = explained(PLANE.points, paired(views, [0, 1, 2, 3, 4, 5, 7, 6]))
+    found = examined(PLANE.points, paired(views, [0, 1, 2, 3, 4, 5, 7, 6]))
     assert found.of_input == ()
     (finding,) = found.of_views
     assert sorted(finding.pairs) == [(6, 7), (7, 6)]
@@ -302,7 +298,7 @@ def test_a_pair_is_found_though_another_view_fits_one_of_its_masks_too():
     """From 0 and 5 degrees the chair fits both masks; one of them has the mask of 90 degrees."""
     chair = example("chair")
     views = [seen(chair.target, turned(chair.camera, angle)) for angle in (0.0, 5.0, 90.0)]
-    (finding,) = explained(chair.points, paired(views, [0, 2, 1])).of_input
+    (finding,) = examined(chair.points, paired(views, [0, 2, 1])).of_input
     assert sorted(finding.pairs) == [(1, 2), (2, 1)]
 
 
@@ -310,7 +306,7 @@ def test_a_view_that_gains_nothing_from_another_mask_is_in_no_pair():
     """Camera 0 has the mask of 25 degrees, which its own mask of 20 degrees hardly differs from."""
     angles = 20.0, 25.0, 100.0, 150.0
     views = [seen(PLANE.target, turned(PLANE.camera, angle)) for angle in angles]
-    found = explained(PLANE.points, paired(views, [1, 3, 2, 0]))
+    found = examined(PLANE.points, paired(views, [1, 3, 2, 0]))
     (finding,) = (*found.of_input, *found.of_views)
     assert finding.views == (1, 3)
     assert finding.pairs == ((0, 1), (1, 3))
@@ -320,7 +316,7 @@ def test_flipped_masks_of_a_symmetric_object_do_not_pass_for_exchanged_ones():
     """From 45 degrees left and right of its mirror plane each looks like the other, flipped."""
     car = example("car")
     views = [seen(car.target, turned(car.camera, angle)) for angle in (0.0, 90.0)]
-    found = explained(car.target, [changed(view, "mask-flipped") for view in views]).of_input
+    found = examined(car.target, [changed(view, "mask-flipped") for view in views]).of_input
     assert "mask-flipped" in [finding.name for finding in found]
     assert "mispaired" not in [finding.name for finding in found]
 
@@ -330,7 +326,7 @@ def test_views_that_agree_are_exchanged_with_none():
     ball = np.random.default_rng(0).normal(size=(16_384, 3))
     ball *= [0.1, 0.2, 0.1] / np.linalg.norm(ball, axis=1, keepdims=True)
     views = [seen(ball, turned(PLANE.camera, 40.0 * i)) for i in range(4)]
-    found = explained(1.2 * ball, paired(views, [3, 0, 1, 2]))
+    found = examined(1.2 * ball, paired(views, [3, 0, 1, 2]))
     assert found.of_input == ()
     assert found.of_views == ()
 
@@ -339,7 +335,7 @@ def test_pixels_that_are_unknown_in_a_mask_are_unknown_with_the_camera_of_anothe
     views = paired(around(2), [1, 0])
     known = np.ones(views[0].mask.shape, bool)
     known[:, : known.shape[1] // 2] = False
-    found = explained(PLANE.target, [replace(views[0], known=known), views[1]]).of_input
+    found = examined(PLANE.target, [replace(views[0], known=known), views[1]]).of_input
     assert found[0].name == "mispaired"
     assert found[0].score > 0.8
 
@@ -347,35 +343,5 @@ def test_pixels_that_are_unknown_in_a_mask_are_unknown_with_the_camera_of_anothe
 def test_masks_of_another_size_are_exchanged_with_none():
     views = paired(around(2), [1, 0])
     mixed = [in_photo(views[0], 2, 0, 0), views[1]]
-    found = explained(PLANE.points, mixed)
+    found = examined(PLANE.points, mixed)
     assert "mispaired" not in [one.name for one in (*found.of_input, *found.of_views)]
-
-
-# Weak hypotheses
-
-
-@pytest.mark.parametrize("name", ["mask-flipped", "mask-upside-down", "R-transposed"])
-def test_a_mistake_that_silhouettes_hardly_show_is_a_weak_hypothesis(name):
-    chair = example("chair")
-    found = explained(chair.points, [changed(chair.view, name)])
-    assert found.of_input == ()
-    assert name in [finding.name for finding in found.weak]
-    for finding in found.weak:
-        assert finding.views == (0,)
-        assert 0.04 <= finding.gain < 0.16
-
-
-def test_a_second_mistake_is_weak_where_another_was_assumed():
-    chair = example("chair")
-    flipped = [changed(chair.view, "mask-flipped")]
-    # The principal point is in the middle of the picture: this assumption changes nothing.
-    found = explained(chair.points, flipped, assumed("principal-point-swapped"))
-    alone = explained(chair.points, flipped)
-    assert found.as_given == alone.as_given
-    assert found.of_input == ()
-    assert found.weak == alone.weak
-
-
-def test_right_input_has_no_weak_hypothesis():
-    car = example("car")
-    assert explained(car.target, [car.view]).weak == ()

@@ -82,7 +82,7 @@ def test_what_the_ignore_map_leaves_out_may_be_grey():
 @pytest.mark.parametrize(
     ("rows", "columns", "points", "name"),
     [
-        (1, 1, 1024, "single-pixel"),
+        (1, 1, 1024, "coarse"),
         (3, 2, 1024, "coarse"),
         (3, 5, 4, "coarse"),  # fewer than 16 pixels, whatever the points
         (15, 15, 1024, "coarse"),
@@ -98,7 +98,7 @@ def test_a_coarse_mask(rows, columns, points, name):
     if name == "coarse":
         assert dict(found.values) == {"pixels": rows * columns, "side": max(rows, columns)}
         assert found.views == (2,)
-        assert f"only {rows * columns} pixels" in found.says
+        assert f"few pixels ({rows * columns})" in found.says
 
 
 def test_foreground_far_from_the_object_is_a_speck():
@@ -121,26 +121,6 @@ def test_points_behind_the_camera(cloud, count, found):
     assert bool(finding) == found
     if found:
         assert finding.says.startswith(f"{count} of 500 points lie behind the camera")
-
-
-@pytest.mark.parametrize(
-    ("times", "found"), [(1e-3, True), (0.1, False), (1.0, False), (9.0, False), (30.0, True)]
-)
-def test_a_cloud_implausibly_near_or_far_for_its_size(cloud, times, found):
-    view = view_of(block(np.s_[20:44, 20:44]))
-    finding = symptoms.scale(times * cloud, view, 0)
-    assert bool(finding) == found
-    if found:
-        size = times * np.ptp(cloud, axis=0).max()
-        assert finding.values["size"] == pytest.approx(size)
-        assert finding.values["distance"] == pytest.approx(2.0, abs=0.02 * times)
-        assert finding.says.endswith("; are both in one unit?")
-
-
-def test_the_distance_of_an_orthographic_camera_says_nothing(cloud):
-    camera = replace(CANONICAL, model="orthographic")
-    view = View(block(np.s_[20:44, 20:44]), camera)
-    assert symptoms.scale(1000.0 * cloud, view, 0) is None
 
 
 # Bounding boxes in place of masks

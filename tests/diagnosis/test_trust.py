@@ -221,11 +221,6 @@ def test_an_unsure_place_is_doubtful_as_an_unsure_camera_is():
     assert trust == doubtful("unsure-place", says)
 
 
-def test_a_weak_hypothesis_that_is_not_confirmed_changes_nothing():
-    weak = Diagnosis((), weak=(Finding("mask-flipped", (0,)),))
-    assert trust_of(replace(SURE, diagnosis=weak)) == trust_of(SURE)
-
-
 @pytest.mark.parametrize(
     ("about", "findings", "joined"),
     [

@@ -13,7 +13,6 @@ import tso_cli
 from tests.readme import DOCS
 from tso_cli import Camera, FittedCamera, MaskLoss, RefineConfig, View, refine
 from tso_cli.diagnosis.findings import Finding
-from tso_cli.refinement.decisions import Decision
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +49,7 @@ def test_the_arguments_of_a_function_are_named(what, named):
 
 @pytest.mark.parametrize(
     "what",
-    [RefineConfig, View, Camera, FittedCamera, Finding, Decision],
+    [RefineConfig, View, Camera, FittedCamera, Finding],
     ids=lambda what: what.__name__,
 )
 def test_the_fields_of_a_class_are_named(what, named):

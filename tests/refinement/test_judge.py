@@ -55,7 +55,6 @@ RIGHT = np.array([1.0, 0.0, 0.0]) / 24.0
         (28.0, 1.0, -1.0, "not_improved"),
         # The IoU of a start that hardly touches its mask says nothing: its overlap is doubtful.
         (9.5, 1.0, -1.0, "doubtful"),
-        # Of a large cloud all points are asked, not the control points alone.
         (9.5, 1 / 3, -1.0, "doubtful"),
         (9.5, 1 / 3, 1.0, "doubtful"),
     ],
@@ -166,7 +165,7 @@ def test_a_view_that_the_others_contradict_is_a_finding(chair, optimised):
     assert _of((tolerated, *others), chair.view).findings == ()
 
 
-def test_for_a_cloud_that_covers_its_mask_there_is_nothing_to_do():
+def test_a_cloud_that_covers_its_mask_fits():
     # Nearly to the edges of its outermost pixels.
     along = np.linspace(19.7, 43.3, 72)
     pixels = np.stack(np.meshgrid(along, along), -1).reshape(-1, 2)

@@ -265,7 +265,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 )
 @options.flag(
     "--record",
-    "Write NAME.record.json next to the result: inputs, settings, decisions, findings.",
+    "Write NAME.record.json next to the result: inputs, settings, findings.",
 )
 @click.option(
     "--config",

@@ -14,7 +14,6 @@ from ..geometry.camera import Camera
 from ..geometry.rotations import angle_between
 from ..geometry.view import View
 from ..io.shipped import LEARNED, NO_PRIOR
-from ..refinement.decisions import document_of
 from ..refinement.judge import CONTRADICTED_WEIGHT
 from ..refinement.result import RefineResult
 from ..scene.load import Scene
@@ -61,8 +60,6 @@ CONVENTION = {
     "prior": "learned: the one that comes with the program",
     "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
     "optimisation, also where it was left, as a share of the object's size",
-    "saving": "share of the work that was saved: of the masks' pixels, the points, the steps, the "
-    "work that a mirror plane takes",
     "symmetry": "a, b, c, d of the mirror plane ax + by + cz = d in the frame of the input, null "
     "for none",
     "sigma_sq": "squared 64ths of the window (encoder modes: mask and IoU are of the 64x64 crop)",
@@ -136,7 +133,6 @@ class RefineReport:
             "determined": result.determined,
             **move_document(result.move),
             "alternatives": alternatives_of(self.scene.fitted, result.move),
-            "decisions": document_of(result.cost.decisions),
             "convention": {
                 **CONVENTION,
                 "loss": f"{objective_of(result)}; the mask's part is a sum over views, each times "
@@ -353,8 +349,6 @@ class RefineReport:
         if result.determined is not None:
             click.echo(f"  fixed  {100.0 * result.determined:.0f} % of the motions of the points")
         click.echo(f"  mirror {self._mirror()}")
-        for decision in result.cost.decisions[:-1]:
-            click.echo(f"  spent  {decision.what}: {decision.choice} ({decision.reason})")
         click.echo(
             f"  sigma_sq {settings.sigma_sq:g} (squared 64ths of the window), learning rate "
             f"{settings.learning_rate:g}, gamma {settings.gamma:g}, preset {settings.preset}, "

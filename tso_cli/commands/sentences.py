@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..diagnosis.assumptions import INVERTED, Assumption
-from ..diagnosis.examine import IN_PIXELS, NoOverlapError
+from ..diagnosis.examine import AXES_ADVICE, NoOverlapError
 from ..diagnosis.findings import ASSUMED_CAMERA, OF_DEPTH_MAPS, Finding
-from ..diagnosis.placement import describe_box
 from ..diagnosis.trust import FINDING
 from ..errors import InputError
 from ..refinement import RefineResult
@@ -21,7 +20,6 @@ from .sentences_of_moves import reading_of
 SMALL_DISPLACEMENT = 1e-3
 # Pairs of masks and cameras that are named.
 MOST_PAIRS = 3
-UNITS = "if not, try --assume K-normalised, K-ndc or focal-mm-36"
 LOOK = (
     "look at the numbers with --check, or let the masks place the cloud with --move pose or "
     "similarity"
@@ -53,7 +51,6 @@ OPTIONS_OF_NOTES = {
     "depth-affine": ": try --depth-kind affine",
     "depth-ray": ": try --depth-kind ray",
     "depth-unrelated": " (--depth-kind z uses it all the same)",
-    "rescaled": " (--depth-scale)",
     "left-out": " (--crop writes the object alone)",
     ASSUMED_CAMERA: " (--camera FILE, or --camera fit)",
     "assumed-picture": " (--camera FILE)",
@@ -167,14 +164,9 @@ class Words:
 
     def no_overlap(self, error: NoOverlapError) -> InputError:
         """The error with advice by options."""
-        general = error.advice.replace(IN_PIXELS, f"{IN_PIXELS} {UNITS}")
-        advice = self.suspicion(error.diagnosis.suspicious) or f"{general}; {LOOK}"
-        if error.part:
-            advice = (
-                f"it meets a part of the mask ({describe_box(error.part)}): is the rest something "
-                "else? Erase it, or leave it out by --ignore FILE"
-            )
-        return InputError(f"{error.problem}; {advice}")
+        diagnosis = error.diagnosis
+        advice = self.suspicion(diagnosis.suspicious) or f"{AXES_ADVICE}; {LOOK}"
+        return InputError(f"{diagnosis.apart}; {advice}")
 
     def reason(self, result: RefineResult) -> str:
         """Why a result is doubtful or has no confidence; "" if there is no reason."""
@@ -204,7 +196,7 @@ def _is_turned_cloud(finding: Finding) -> bool:
     if finding.without or len(finding.hypotheses) != 1:
         return False
     (hypothesis,) = finding.hypotheses
-    return hypothesis.of_cloud and hypothesis.turns
+    return hypothesis.turns
 
 
 def shown(confidence: float) -> str:
@@ -232,7 +224,6 @@ def why_unmoved(result: RefineResult) -> str | None:
         "interrupted": f"interrupted at step {fit.steps}, before one lowered the loss",
         "non_finite": f"the loss was not a number after step {fit.steps}, and no loss before was "
         "lower than the loss of the start",
-        "nothing_to_do": f"the cloud already agrees with all that {masks}",
         "fits": f"the cloud fits the contours that {masks}",
         "not_improved": f"nothing that was tried agrees better with what {masks}",
     }[fit.stop_reason]
@@ -249,8 +240,7 @@ def _of_course(result: RefineResult) -> str | None:
     if fit.stop_reason == "fits":
         return None
     if reason and not _withheld(fit):
-        what = "nothing to do" if fit.stop_reason == "nothing_to_do" else "nothing moved"
-        return f"{what}: {reason}; the cloud is as it was"
+        return f"nothing moved: {reason}; the cloud is as it was"
     if fit.stop_reason == "interrupted":
         best = "start" if reason else "best so far"
         return f"interrupted at step {fit.steps} of {steps}: the result is the {best}"

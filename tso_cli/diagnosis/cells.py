@@ -55,50 +55,21 @@ class Cells:
         ``x``, ``y`` and ``visible`` are [C, N]. Points that are farther from the object's box than
         its longer side count as if they were nearer.
         """
-        covered = self.covered(x, y, visible)
-        common = covered[:, CELLS:-CELLS, CELLS:-CELLS][:, self.inside].sum(1)
-        ious: Array = common / np.maximum(1, covered.sum((1, 2)) + self.count - common)
-        return ious
-
-    def covered(self, x: Array, y: Array, visible: Bits) -> Bits:
-        """[C, rows + 2 CELLS, columns + 2 CELLS], the cells that points fall in, as for `ious`.
-
-        `CELLS` cells at each side lie around the object's box.
-        """
+        # `CELLS` cells at each side lie around the object's box.
         rows, columns = (length + 2 * CELLS for length in self.inside.shape)
         numbers = self._numbers(y, 1, rows) * columns + self._numbers(x, 0, columns)
         covered = np.zeros((len(x), rows * columns), bool)
         covered[np.nonzero(visible)[0], numbers[visible]] = True
-        return covered.reshape(-1, rows, columns)
-
-    def pixels_of(self, cells: Bits, height: int, width: int) -> Bits:
-        """[H, W], the pixels of a picture that lie in ``cells`` (as of `covered`)."""
-        columns = self._numbers(np.arange(width, dtype=float), 0, cells.shape[1])
-        rows = self._numbers(np.arange(height, dtype=float), 1, cells.shape[0])
-        pixels: Bits = cells[rows[:, None], columns]
-        return pixels
+        inner = covered.reshape(-1, rows, columns)[:, CELLS:-CELLS, CELLS:-CELLS]
+        common = inner[:, self.inside].sum(1)
+        ious: Array = common / np.maximum(1, covered.sum(1) + self.count - common)
+        return ious
 
     def _numbers(self, places: Array, axis: int, count: int) -> Indices:
         """The rows or columns that ``places`` fall in, of ``count`` around the object's box."""
         with np.errstate(invalid="ignore"):
             numbers = (places - self.low[axis]) * (1.0 / self.edge) + CELLS
             return np.clip(numbers, 0.0, count - 0.5).astype(np.int64)
-
-    def stretched(self, places: Array, visible: Bits, axis: int) -> Array:
-        """``places`` [C, N] along x (``axis`` 0) or y, so that the visible ones fill the box."""
-        low = np.where(visible, places, np.inf).min(1, keepdims=True)
-        high = np.where(visible, places, -np.inf).max(1, keepdims=True)
-        size = self.edge * self.inside.shape[1 - axis] - 1e-6
-        with np.errstate(invalid="ignore"):
-            filled: Array = self.low[axis] + (places - low) * (size / np.maximum(high - low, 1e-9))
-        return filled
-
-
-def dilated(cells: Bits) -> Bits:
-    """The cells [rows, columns], and all that touch one of them."""
-    for axis in range(2):
-        cells = cells | np.roll(cells, 1, axis) | np.roll(cells, -1, axis)
-    return cells
 
 
 def visible_in(view: View, x: Array, y: Array) -> Bits:
@@ -175,12 +146,11 @@ class Outline:
         x, y = (K[..., :2] @ seen[:, :2] + K[..., 2:]).swapaxes(0, 1)
         return x, y, [change.inverted for change in changes]
 
-    def ious(self, points: Array, options: Sequence[Sequence[Assumption]]) -> tuple[Array, float]:
+    def ious(self, points: Array, options: Sequence[Sequence[Assumption]]) -> Array:
         """[C], IoU of the mask and ``points`` [N, 3] in cells under each option alone.
 
-        And the IoU under the first option of points that are stretched, so that their box is the
-        box of the mask. A camera inside the cloud sees points everywhere, so an option loses that
-        share of its IoU by which it puts more points behind the camera than the first option.
+        A camera inside the cloud sees points everywhere, so an option loses that share of its IoU
+        by which it puts more points behind the camera than the first option.
         """
         x, y, inverted = self.project(points, options)
         visible, found = visible_in(self.view, x, y), np.zeros(len(options))
@@ -188,7 +158,4 @@ class Outline:
             rows = np.array(inverted) == changed
             found[rows] = cells.ious(x[rows], y[rows], visible[rows])
         in_front = (~np.isnan(x)).mean(1)
-        found *= np.minimum(1.0, in_front / max(in_front[0], 1e-9))
-        cells, shown = self.cells[inverted[0]], visible[:1]
-        column, row = cells.stretched(x[:1], shown, 0), cells.stretched(y[:1], shown, 1)
-        return found, float(cells.ious(column, row, shown)[0])
+        return found * np.minimum(1.0, in_front / max(in_front[0], 1e-9))

@@ -24,26 +24,22 @@ Held = Literal["z", "inverse", "affine", "ray", "unit", "unrelated"]
 # Blocks along the longer side of the mask. The foremost point of each counts.
 BLOCKS = 20
 # With fewer blocks only another unit is named. So it is with less relief of the cloud, in its
-# longest sides, apart from distance along the ray and other pictures.
+# longest sides, apart from distance along the ray.
 FEWEST_BLOCKS, LEAST_RELIEF = 24, 0.15
 # Right maps are 0.57 to 1.62 times the cloud's depths.
 OTHER_UNIT = 2.0
 # The rank correlation of right maps with the cloud is at least -0.57.
 INVERSE = -0.7
-# A map in another unit is of a kind only if it is related to the cloud at all.
+# A map is of a kind only if it is related to the cloud at all.
 RELATED = 0.3
-# With a rank correlation over 0.6, right maps have up to 2.2 times the relief of the cloud. Where
-# another unit is the alternative, the limit is lower.
-AFFINE, MOST_RELIEF, MOST_RELIEF_OR_UNIT = 0.6, 3.0, 2.0
+# One of 1,456 right maps has more relief, in that of the cloud.
+MOST_RELIEF = 2.5
 # Read as distance along the ray, right maps are off the cloud by at least 0.59 of what they are off
-# along z, where that is over 0.02 of the cloud's size.
-RAY, LEAST_OFF = 0.5, 0.02
-# Seven tenths of the blocks of right maps are off by less than 0.47 of the cloud's size, apart from
-# a common shift.
-MOST_OFF, MOST_BLOCKS = 0.55, 0.7
+# along z.
+RAY = 0.5
 # A dense map that is known on less of the mask is of another picture. In a dense map most known
 # pixels have a known neighbour.
-LEAST_COVERED, DENSE, FEWEST_PIXELS = 0.6, 0.8, 100
+LEAST_COVERED, DENSE = 0.6, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +97,13 @@ class SeenSurface:
         """Whether the cloud is: then its depths say nothing of what the map holds."""
         return _spread(self.depth) < LEAST_RELIEF * self.size
 
-    def off(self, depth: Array, share: float = 0.5) -> Array:
+    def off(self, depth: Array) -> Array:
         """[2], how far ``depth`` [B] is off the cloud, and how far without a common shift.
 
-        That ``share`` of the blocks is off by less, in longest sides.
+        The medians, in longest sides.
         """
         error = depth - self.depth
-        return np.quantile(np.abs([error, error - np.median(error)]), share, axis=1) / self.size
+        return np.median(np.abs([error, error - np.median(error)]), axis=1) / self.size
 
     def held(self, any_size: bool = False) -> Held:
         """What the map holds; "z" where nothing else is clear.
@@ -119,26 +115,20 @@ class SeenSurface:
         in_unit = any_size or not len(self.depth) or 1.0 / OTHER_UNIT < self.times < OTHER_UNIT
         few = len(self.depth) < FEWEST_BLOCKS
         if not few and not self.flat:
-            if _spread(self.values) == 0.0:
-                return "unrelated"
             if self.rank < (INVERSE if in_unit else -RELATED):
                 return "inverse"
-            if self.rank < RELATED and not in_unit:
+            related = self.rank > RELATED
+            least = 0.0 if in_unit else 1.0 / MOST_RELIEF
+            if not least < self.relief < MOST_RELIEF:
+                return "affine" if related else "unrelated"
+            if not related and not in_unit:
                 return "unrelated"
-            if in_unit:
-                affine = self.rank > AFFINE and self.relief > MOST_RELIEF
-            else:
-                affine = not 1.0 / MOST_RELIEF_OR_UNIT < self.relief < MOST_RELIEF_OR_UNIT
-            if affine:
-                return "affine"
         if not in_unit:
             return "unit"
         if few or any_size:
             return "z"
-        along_z, along_ray = self.off(self.values), self.off(self.values / self.ray)
-        if along_z[0] > LEAST_OFF and (along_ray < RAY * along_z).all():
-            return "ray"
-        return "unrelated" if self.off(self.values, MOST_BLOCKS)[1] > MOST_OFF else "z"
+        nearer = self.off(self.values / self.ray) < RAY * self.off(self.values)
+        return "ray" if nearer.all() else "z"
 
     @property
     def figures(self) -> dict[str, float]:
@@ -168,14 +158,13 @@ def wrong_maps(points: Array, views: Sequence[View], any_size: bool = False) -> 
 
 
 def _covered(view: View) -> float:
-    """1 where the map is sparse or the mask small."""
+    """1 where the map is sparse."""
     assert view.depth is not None
     known = np.isfinite(view.depth)
     pairs = np.count_nonzero(known[:, 1:] & known[:, :-1])
-    pixels = np.count_nonzero(view.inside)
-    if pixels < FEWEST_PIXELS or pairs < DENSE * np.count_nonzero(known):
+    if pairs < DENSE * np.count_nonzero(known):
         return 1.0
-    return np.count_nonzero(known & view.inside) / pixels
+    return np.count_nonzero(known & view.inside) / np.count_nonzero(view.inside)
 
 
 def _ranks(values: Array) -> Array:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from ..cloud.cloud import ControlledCloud
 from ..errors import InputError
-from ..geometry.arrays import Array, Bits, Box
+from ..geometry.arrays import Bits
 from ..geometry.points import scattered
 from ..geometry.view import View
 from ..optimisation.view_weights import FEWEST_VIEWS_TO_OUTVOTE
@@ -18,18 +19,20 @@ from . import symptoms
 from .assumptions import Assumption
 from .causes import depth_that_contradicts, findings_of_causes, findings_of_parts
 from .cells import Outline
-from .explain import OUTVOTED_SHARE, Explanation, explain
+from .explain import explain
 from .findings import Finding
 from .foreign_parts import parts_that_explain
-from .hypotheses import focal_in_pixels
-from .placement import Placement, part_met, place, why_apart
+from .placement import Placement, place, why_apart
+from .verification import confirmed
 
 # Points that are projected to compare silhouettes.
 COMPARED_POINTS = 1024
+# What is wrong with less than this share of the views is outvoted by the others.
+OUTVOTED_SHARE = 0.5
 # What is said where nothing explains why cloud and mask do not meet.
 AXES_ADVICE = (
     "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and "
-    "units"
+    "units (K in pixels)"
 )
 
 
@@ -39,38 +42,32 @@ class Diagnosis:
 
     of_input : alternatives that explain the whole input, likeliest first.
     of_views : what may be wrong with single views.
-    weak : alternatives that only the contours can confirm.
     notes : what is worth reading before a result is used.
     hidden : by number of the view, the pixels [H, W] around parts that mask or cloud lack.
-    explanation : None in the network modes, which place their cloud themselves.
     outvoted : whether the suspicious views are few, so that the others outvote them.
     fits : whether the cloud fits the contours of the masks, and of what they show of the object.
-    otherwise : where masks and cameras seem to be mispaired, the diagnosis if they are not.
+    apart : the view in which cloud and mask do not meet, and why, in words; "" where they meet.
     """
 
     placements: tuple[Placement, ...]
     of_input: tuple[Finding, ...] = ()
     of_views: tuple[Finding, ...] = ()
-    weak: tuple[Finding, ...] = ()
     notes: tuple[Finding, ...] = ()
     hidden: Mapping[int, Bits] = field(default_factory=dict)
-    explanation: Explanation | None = None
     outvoted: bool = False
     fits: bool = False
-    otherwise: Diagnosis | None = None
-
-    @property
-    def unverified(self) -> tuple[Finding, ...]:
-        """What the contours verify: weak alternatives, or what explains the whole input."""
-        pairs = tuple(finding for finding in self.suspicious if finding.pairs)
-        # Silhouettes may take a stretched object for a turned one.
-        turned = all(any(one.turns for one in finding.hypotheses) for finding in self.of_input)
-        return self.weak or pairs or (self.of_input if turned else ())
+    apart: str = ""
 
     @property
     def suspicious(self) -> tuple[Finding, ...]:
         """What makes a result doubtful: of the whole input, else of single views."""
         return self.of_input or self.of_views
+
+    def after(self, known: Sequence[Finding]) -> Diagnosis:
+        """The diagnosis with notes that are ``known`` already; nothing is noted twice."""
+        named = [(note.name, note.views) for note in known]
+        new = [note for note in self.notes if (note.name, note.views) not in named]
+        return replace(self, notes=(*known, *new))
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -79,20 +76,17 @@ class Diagnosis:
 
 
 class NoOverlapError(InputError):
-    """A cloud and a mask that do not meet.
+    """A ``cloud`` and a mask that do not meet, as the ``diagnosis`` says."""
 
-    Attributes
-    ----------
-    problem : what was found, without advice. diagnosis, cloud : of the input.
-    part : the box of a connected part of the mask that the cloud meets well, or None.
-    advice : what to look at if nothing else is found.
-    """
+    def __init__(self, diagnosis: Diagnosis, cloud: ControlledCloud) -> None:
+        advice = AXES_ADVICE
+        if diagnosis.suspicious:
+            advice = f"it looks as if {' or '.join(one.says for one in diagnosis.suspicious)}"
+        super().__init__(f"{diagnosis.apart}; {advice}")
+        self.diagnosis, self.cloud = diagnosis, cloud
 
-    problem: str
-    diagnosis: Diagnosis
-    cloud: ControlledCloud
-    part: Box | None = None
-    advice: str = AXES_ADVICE
+    def __reduce__(self) -> tuple[type, tuple[Diagnosis, ControlledCloud]]:
+        return type(self), (self.diagnosis, self.cloud)
 
 
 def examine(
@@ -100,28 +94,19 @@ def examine(
     read: Sequence[View],
     views: Sequence[View],
     assumptions: Sequence[Assumption] = (),
-    known: Sequence[Finding] = (),
     hypotheses: bool = True,
 ) -> Diagnosis:
     """Look at a cloud and its views: as they were ``read``, and ``views``, as they are meant.
 
-    ``known`` are findings of those who read the input. Without ``hypotheses`` only symptoms are
-    looked for. Raises NoOverlapError where cloud and mask do not meet in a view.
+    Without ``hypotheses`` only symptoms are looked for.
     """
-    points = cloud.control_points
-    placements = tuple(place(points, view) for view in views)
-    found = _notes(cloud, views, placements, input_as_given=hypotheses)
-    named = [(finding.name, finding.views) for finding in known]
-    found = [finding for finding in found if (finding.name, finding.views) not in named]
-    diagnosis = Diagnosis(placements, notes=(*known, *found))
-    if hypotheses:
-        diagnosis = _explained(diagnosis, points, read, views, assumptions)
+    placements = tuple(place(cloud.control_points, view) for view in views)
+    notes = _notes(cloud, views, placements, input_as_given=hypotheses)
+    diagnosis = Diagnosis(placements, notes=tuple(notes))
     for placement, view in zip(placements, views, strict=True):
-        if problem := why_apart(placement, view):
-            error = _no_overlap(f"{view.name}: {problem}", diagnosis, placement, view)
-            error.cloud = cloud
-            raise error
-    return diagnosis
+        if (problem := why_apart(placement, view)) and not diagnosis.apart:
+            diagnosis = replace(diagnosis, apart=f"{view.name}: {problem}")
+    return _explained(diagnosis, cloud, read, views, assumptions) if hypotheses else diagnosis
 
 
 def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Move) -> Diagnosis:
@@ -149,44 +134,35 @@ def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Mov
 
 def _explained(
     diagnosis: Diagnosis,
-    points: Array,
+    cloud: ControlledCloud,
     read: Sequence[View],
     views: Sequence[View],
     assumptions: Sequence[Assumption],
 ) -> Diagnosis:
-    points = scattered(points, COMPARED_POINTS)
+    """With what explains cloud and masks, as the contours confirm, and masks that are boxes."""
+    points = scattered(cloud.control_points, COMPARED_POINTS)
     outlines = [Outline(view, assumptions) for view in read]
     boxes = [
         symptoms.bounding_box(outline, view, number, points)
         for number, (outline, view) in enumerate(zip(outlines, views, strict=True))
     ]
-    of_scene = points, outlines, assumptions, np.array([box is not None for box in boxes])
-    diagnosis = _with_explanation(diagnosis, explain(*of_scene), boxes)
-    if any(finding.pairs for finding in diagnosis.suspicious):
-        paired = explain(*of_scene, mispaired=False)
-        return replace(diagnosis, otherwise=_with_explanation(diagnosis, paired, boxes))
-    return diagnosis
-
-
-def _with_explanation(
-    diagnosis: Diagnosis, found: Explanation, boxes: Sequence[Finding | None]
-) -> Diagnosis:
-    """With what explains cloud and masks, and the masks that are bounding ``boxes``."""
-    of_views: tuple[Finding, ...] = ()
-    if not found.of_input:
-        of_views = tuple(finding for finding in (*boxes, *found.of_views) if finding)
-    # Pairs are one finding about several views.
-    suspicious = sum(len(one.pairs) or 1 for one in of_views)
-    return replace(
-        diagnosis,
-        of_input=found.of_input,
-        of_views=of_views,
-        weak=found.weak,
-        explanation=found,
-        outvoted=bool(of_views)
-        and len(boxes) >= FEWEST_VIEWS_TO_OUTVOTE
-        and suspicious < OUTVOTED_SHARE * len(boxes),
-    )
+    boxed = np.array([box is not None for box in boxes])
+    candidates = explain(points, outlines, assumptions, boxed)
+    confirm = partial(confirmed, body=cloud.body, read=read, given=assumptions)
+    of_input: tuple[Finding, ...] = ()
+    if pairs := confirm(candidates.pairs):
+        of_input = pairs if len(pairs[0].views) >= OUTVOTED_SHARE * len(views) else ()
+    else:
+        # What explains the views whose masks show the shape is about the others too.
+        every = tuple(range(len(views)))
+        of_input = tuple(replace(one, views=every) for one in confirm(candidates.of_input))
+    if of_input:
+        return replace(diagnosis, of_input=of_input)
+    likeliest = {one.views: one for one in reversed(pairs or confirm(candidates.of_views))}
+    of_views = (*(box for box in boxes if box), *(likeliest[views] for views in sorted(likeliest)))
+    wrong = {view for one in of_views for view in one.views}
+    outvoted = len(views) >= FEWEST_VIEWS_TO_OUTVOTE and len(wrong) < OUTVOTED_SHARE * len(views)
+    return replace(diagnosis, of_views=of_views, outvoted=bool(wrong) and outvoted)
 
 
 def _notes(
@@ -210,33 +186,10 @@ def _notes(
         found.append(Finding("faint", values={"count": count}))
     for number, (view, placement) in enumerate(zip(views, placements, strict=True)):
         if input_as_given:
-            found += [
-                symptoms.photo(view, number),
-                symptoms.scale(points, view, number),
-            ]
+            found.append(symptoms.photo(view, number))
         found += [
             symptoms.coarse(view, number, len(points)),
             symptoms.specks(view, number),
             symptoms.behind(placement, number),
         ]
     return [finding for finding in found if finding]
-
-
-IN_PIXELS = "is K in pixels?"
-
-
-def _no_overlap(
-    problem: str, diagnosis: Diagnosis, placement: Placement, view: View
-) -> NoOverlapError:
-    part, general = None, AXES_ADVICE
-    if not focal_in_pixels(view.camera):
-        general = f"the focal length is {view.camera.K[0, 0]:.3g} px, {IN_PIXELS}"
-    if diagnosis.suspicious:
-        advice = f"it looks as if {' or '.join(one.says for one in diagnosis.suspicious)}"
-    elif part := part_met(placement, view):
-        advice = "it meets a part of the mask: is the rest something else?"
-    else:
-        advice = general
-    error = NoOverlapError(f"{problem}; {advice}")
-    error.problem, error.diagnosis, error.part, error.advice = problem, diagnosis, part, general
-    return error

@@ -52,17 +52,12 @@ NOTES = {
     "unsure-place": "the place of the cloud is unsure: {why}",
     "photo": "looks like a photo, grey in many places; expected a mask, light on the object and "
     "dark around it",
-    "coarse": "shows the object with only {pixels} pixels: details smaller than 1/{side} of its "
+    "coarse": "shows the object with few pixels ({pixels}): details smaller than 1/{side} of its "
     "size cannot be seen",
-    "single-pixel": "shows the object with a single pixel, which shows where it is and nothing of "
-    "its shape",
     "specks": "foreground far from the object is left out ({pixels} px)",
     "behind": "{behind} of {points} points lie behind the camera and take no part",
     "contradicted": "the other views contradict it, so it counts for little (inlier weight "
     "{weight:.2f} of 1); is its mask or camera wrong?",
-    "scale": "the cloud's longest side is {size:.3g} and its distance from the camera "
-    "{distance:.3g}; are both in one unit?",
-    "rescaled": "the depth map asks for a cloud {times:.3g} times as large; are both in one unit?",
     ASSUMED_CAMERA: "no camera was given, so the canonical camera is assumed; is it right?",
     "assumed-picture": "the network infers sizes from the whole picture, which without a camera "
     "file is taken for a picture of the canonical camera",

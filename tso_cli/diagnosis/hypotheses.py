@@ -17,8 +17,6 @@ CameraChange = Callable[[Camera], Camera]
 # In longer sides of the picture. A shorter focal length has a field of view of over 90 degrees,
 # which few cameras have: it may be in another unit.
 SHORTEST_FOCAL = 1.0 / 2.0
-# A start may be another shape, about twice or half as large as the object.
-SIZE_PRIOR = 0.14
 
 
 def focal_in_pixels(camera: Camera) -> bool:
@@ -51,7 +49,6 @@ class Hypothesis:
     camera : the camera that is meant, from the camera as it was read.
     picture : the x and y of the picture that is meant, in the axes of the mask as it was read.
     inverted : whether foreground and background of the mask are exchanged.
-    prior : IoU by which it must explain the views better than other hypotheses do.
     applies : whether it may hold for a camera as it was read.
     """
 
@@ -61,7 +58,6 @@ class Hypothesis:
     camera: CameraChange = _as_read
     picture: str = "x y"
     inverted: bool = False
-    prior: float = 0.0
     applies: Callable[[Camera], bool] = _always
 
     def __eq__(self, other: object) -> bool:
@@ -89,8 +85,8 @@ class Hypothesis:
 
     @property
     def turns(self) -> bool:
-        """Whether the object is turned, so that it has other extents in the picture."""
-        return self.axes != "x y z" or self.picture != "x y" or self in OF_AXES
+        """Whether the cloud is turned, so that it has other extents in the picture."""
+        return self.axes != "x y z"
 
     @cached_property
     def matrix(self) -> Array:
@@ -185,8 +181,8 @@ def _units(what: str, unit: str, metres: float) -> Hypothesis:
     return Hypothesis(f"{what}-{unit}", says, camera=_unit(metres))
 
 
-def _size(name: str, says: str, factor: float, prior: float = 0.0) -> Hypothesis:
-    return Hypothesis(f"cloud-{name}", f"the cloud is {says}", camera=_unit(factor), prior=prior)
+def _size(name: str, says: str, factor: float) -> Hypothesis:
+    return Hypothesis(f"cloud-{name}", f"the cloud is {says}", camera=_unit(factor))
 
 
 def _focal_unit(name: str, says: str, camera: CameraChange) -> Hypothesis:
@@ -254,8 +250,8 @@ HYPOTHESES = {
         *(_units("camera", name, 1.0 / metres) for name, metres in _LENGTHS.items()),
         _size("ten-times-large", "ten times too large, as millimetres for centimetres", 0.1),
         _size("ten-times-small", "ten times too small, as centimetres for millimetres", 10.0),
-        _size("twice-large", "about twice too large", 0.5, SIZE_PRIOR),
-        _size("half-large", "about half as large as it should be", 2.0, SIZE_PRIOR),
+        _size("twice-large", "about twice too large", 0.5),
+        _size("half-large", "about half as large as it should be", 2.0),
         *OF_AXES,
         Hypothesis(
             "t-of-position",

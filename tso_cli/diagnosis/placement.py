@@ -16,11 +16,6 @@ from ..optimisation.problem import Problem
 # Bounding boxes of mask and projected cloud with a lower IoU belong to different cameras, units or
 # axes.
 LEAST_BOX_IOU = 0.05
-# Where the two hardly meet, the cloud may belong to a connected part of the mask: to a part whose
-# box has at least this IoU with the cloud's box.
-LEAST_PART_IOU = 0.3
-# The parts with most pixels in the cloud's box are compared; a mask of dots has millions of parts.
-MOST_PARTS = 4
 
 
 @dataclass(frozen=True)
@@ -100,25 +95,6 @@ def why_apart(placement: Placement, view: View) -> str | None:
             f"{placement.box_iou:.3f}, expected over {LEAST_BOX_IOU}"
         )
     return None
-
-
-def part_met(placement: Placement, view: View) -> Box | None:
-    """The box of a connected part of the mask that the cloud meets well; None if there is none."""
-    if placement.points_box is None or not placement.inside_image:
-        return None
-    from scipy.ndimage import label
-
-    parts = label(view.inside, np.ones((3, 3)))[0]
-    left, top, right, bottom = np.ceil(placement.points_box).astype(int)
-    counts = np.bincount(parts[top:bottom, left:right].ravel(), minlength=2)
-    counts[0] = 0
-    order = np.argsort(-counts, kind="stable")[:MOST_PARTS]
-    places = [np.nonzero(parts == part) for part in order if counts[part]]
-    boxes = [
-        _as_floats((x.min() - 0.5, y.min() - 0.5, x.max() + 0.5, y.max() + 0.5)) for y, x in places
-    ]
-    ious = [box_iou(placement.points_box, box) for box in boxes]
-    return boxes[int(np.argmax(ious))] if max(ious, default=0.0) >= LEAST_PART_IOU else None
 
 
 def require_plane_through(problem: Problem, symmetry: str) -> None:

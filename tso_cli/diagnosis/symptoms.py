@@ -8,18 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.arrays import Array
-from ..geometry.points import longest_side
 from ..geometry.view import View, is_grey_inside, object_box
 from .cells import Outline, visible_in
 from .findings import Finding
 from .placement import Placement
 
-
-class CoarseMask:
-    """A mask with few pixels. A short side is no problem if two points fall on a pixel."""
-
-    FEWEST_PIXELS = 16  # of the foreground
-    FEWEST_ACROSS = 16  # along its longer side
+# A mask with fewer pixels, in all and along its longer side, is coarse.
+FEWEST_PIXELS = 16
 
 
 class BoundingBox:
@@ -32,11 +27,7 @@ class BoundingBox:
     CLOUD_FILLED = 0.92  # of the cells
     CELLS = 10  # along the longer side of the cloud's box
     TAILS = 0.01  # of the points
-    FEWEST_POINTS, FEWEST_PIXELS = 512, 16  # fewer, along the mask's shorter side, show no box
-
-
-# A cloud is implausibly near or far at a distance outside this range, in its longest sides.
-PLAUSIBLE_DISTANCES = (0.2, 1000.0)
+    FEWEST_POINTS = 512  # fewer show no box, as do fewer pixels than `FEWEST_PIXELS` across
 
 
 def photo(view: View, number: int) -> Finding | None:
@@ -52,12 +43,8 @@ def coarse(view: View, number: int, points: int) -> Finding | None:
     side = round(max(right - left, bottom - top))
     # Front and back of the surface both project: with over two points per pixel their spacing is
     # below a pixel.
-    if pixels >= CoarseMask.FEWEST_PIXELS and (
-        side >= CoarseMask.FEWEST_ACROSS or points <= 2 * pixels
-    ):
+    if pixels >= FEWEST_PIXELS and (side >= FEWEST_PIXELS or points <= 2 * pixels):
         return None
-    if side == 1:
-        return Finding("single-pixel", (number,))
     return Finding("coarse", (number,), values={"pixels": pixels, "side": side})
 
 
@@ -74,27 +61,13 @@ def behind(placement: Placement, number: int) -> Finding | None:
     return Finding("behind", (number,), values=values)
 
 
-def scale(points: Array, view: View, number: int) -> Finding | None:
-    """A cloud [N, 3] implausibly near or far for its size: the camera may be in another unit."""
-    camera = view.camera
-    size = longest_side(points)
-    middle = (points.min(0) + points.max(0)) / 2.0
-    distance = float((camera.R @ middle + camera.t)[2])
-    nearest, farthest = PLAUSIBLE_DISTANCES
-    if camera.model != "perspective" or distance <= 0.0:
-        return None
-    if nearest < distance / size < farthest:
-        return None
-    return Finding("scale", (number,), values={"size": size, "distance": distance})
-
-
 def bounding_box(outline: Outline, view: View, number: int, points: Array) -> Finding | None:
     """A mask that is a filled rectangle, where the silhouette of ``points`` [N, 3] is not.
 
     ``view`` is the outline's view as it is meant.
     """
     left, top, right, bottom = object_box(view.inside)
-    if outline.may_be_inverted or min(right - left, bottom - top) < BoundingBox.FEWEST_PIXELS:
+    if outline.may_be_inverted or min(right - left, bottom - top) < FEWEST_PIXELS:
         return None
     if view.inside[top:bottom, left:right].mean() < BoundingBox.MASK_FILLED:
         return None

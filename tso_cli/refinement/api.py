@@ -16,7 +16,7 @@ from .clock import Clock
 from .config import RefineConfig
 from .result import RefineResult
 from .run import run
-from .scene import as_scene, as_views, assumed_cameras
+from .scene import as_scene, as_views
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -87,8 +87,6 @@ def refine(
                 network, image, settings.mode, settings.device, settings.learning_rate
             )
             points = parameters.cloud.source
-        if settings.mode == "points":
-            known = (*known, *assumed_cameras(masks, cameras))
-        scene = as_scene(points, views, assume, known)
+        scene = as_scene(points, masks, cameras, assume, known)
     with blas.one_thread():
         return run(scene, settings, clock, parameters, progress)

@@ -23,7 +23,7 @@ from .clock import Clock
 from .config import RefineConfig
 from .result import RefineResult
 from .run import run
-from .scene import as_scene, as_views, assumed_cameras
+from .scene import as_scene
 
 # A process takes as long to start as this many small scenes take to refine. Fewer scenes than for
 # two processes are refined in the process of the caller.
@@ -236,9 +236,7 @@ def _refined(job: _Job) -> tuple[RefineResult, list[Warning]]:
             points, masks = _points_and_views(job.scene, number)
             clock = Clock()
             with clock.phase("prepare"):
-                known = assumed_cameras(masks, None)
-                name = f"points of scene {number}"
-                scene = as_scene(points, as_views(masks), known=known, name=name)
+                scene = as_scene(points, masks, name=f"points of scene {number}")
             result = run(scene, job.config.settings(len(scene.read)), clock)
         except KeyboardInterrupt:
             raise _not_begun(number) from None

@@ -9,7 +9,6 @@ from functools import partial
 from ..cloud.cloud import ControlledCloud
 from ..diagnosis.depth_kinds import along_z, fitted, without_depth
 from ..diagnosis.depth_map import wrong_maps
-from ..diagnosis.findings import Finding
 from ..geometry.arrays import Array
 from ..geometry.depth_kind import FITTED, DepthKind
 from ..optimisation.learned_start import beginning
@@ -28,27 +27,31 @@ ANYWHERE = ("pose", "similarity")
 
 
 def move_with_maps(
-    scene: RefineScene, points: Array, asked: Asked, find: Find
+    scene: RefineScene, points: Array, settings: Settings, find: Find
 ) -> tuple[Move, RefineScene]:
     """What moves as one, and the scene after it, without maps that turn out to be wrong.
 
-    ``find`` finds the move of a scene, of the kind that was ``asked`` for. ``points`` [N, 3] are
-    of the cloud. All maps are along z then, except those that are known up to two numbers.
+    ``find`` finds the move of a scene. ``points`` [N, 3] are of the cloud. All maps are along z
+    then, except those that are known up to two numbers.
     """
-    return _placed(_tested(scene, points, asked, find), find, FITTED)
+    if not settings.smooth:
+        # Depth maps are refused later.
+        move = find(scene)
+        return move, scene.after(move)
+    return _placed(_tested(scene, points, settings.move, find), find, FITTED)
 
 
 def fit_maps(
     scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock
-) -> tuple[RefineScene, list[Finding]]:
-    """The scene with all maps along z, after a move, and what was fitted.
+) -> RefineScene:
+    """The scene with all maps along z, after a move.
 
     Maps that are known up to two numbers are fitted to the cloud where the learned prior moves it
     by the masks. Fitted to the start, which is of another shape, they would pull back to it.
     """
     held_back = [view.depth is not None and view.depth_kind in FITTED for view in scene.views]
     if not any(held_back) or not settings.smooth:
-        return scene, []
+        return scene
     points, prior = cloud.control_points, named_prior(settings.prior)
     if prior is not None and settings.steps:
         bare = [
@@ -60,7 +63,7 @@ def fit_maps(
         if begun := clock.attempt("move", partial(beginning, *of_start), None):
             points = cloud.denormalise(begun.points)
     views, found = fitted(points, scene.views)
-    return scene.with_views(views), found
+    return scene.with_views(views, found)
 
 
 def _tested(scene: RefineScene, points: Array, asked: Asked, find: Find) -> RefineScene:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,11 +12,10 @@ from ..diagnosis.confidence import confidence_of, features_of
 from ..diagnosis.determined import all_blocks, shares_fixed
 from ..diagnosis.examine import Diagnosis
 from ..diagnosis.findings import Finding
-from ..diagnosis.trust import LEAST_OVERLAP, NO_REASON, Facts, Trust, Why, trust_of
+from ..diagnosis.trust import NO_REASON, Facts, Trust, Why, trust_of
 from ..errors import TsoError
 from ..evaluation.footprint import common_window, window_iou
-from ..geometry.arrays import Array
-from ..geometry.points import CANDIDATES, root_mean_square, scattered
+from ..geometry.points import root_mean_square
 from ..geometry.view import View
 from ..losses.chamfer import ChamferToStart
 from ..optimisation.loop import Optimised
@@ -26,27 +25,10 @@ from ..optimisation.problem import Problem
 from ..optimisation.settings import Settings
 from ..pose.move import Move
 from ..pose.placing import missed_by
-from .decisions import decisions
-from .result import Cost, Fit, Outcome, RefineResult, StopReason, ViewFit
-
-Ious = list[tuple[float, float]]  # of each view, before and after
+from .result import Cost, Fit, RefineResult, StopReason, ViewFit
 
 # A view with a lower inlier weight is a finding.
 CONTRADICTED_WEIGHT = 0.5
-# Samples of a surface by which before and after are compared. In 75 refinements of the shipped
-# meshes ten times as many decided alike.
-SAMPLES_OF_A_MESH = 1536
-
-
-@dataclass(frozen=True, eq=False)
-class _Ending:
-    """What becomes of a displacement."""
-
-    moved: MovedCloud
-    ious: Ious
-    trust: Trust
-    outcome: Outcome
-    stop_reason: StopReason | None = None  # why the start is kept
 
 
 def judge(
@@ -72,29 +54,45 @@ def judge(
         raise TsoError(
             "the loss is not a finite number after the first step (a smaller learning rate?)"
         )
-    problem = weighed.problem
-    ending = _ending(weighed, problem, optimised, given, move, diagnosis, settings)
-    if ending.stop_reason == "doubtful":
-        move = move.taken_back("the result is doubtful")
-    cloud, moved, weights = problem.cloud, ending.moved, weighed.weights
+    problem, cloud, weights = weighed.problem, weighed.problem.cloud, weighed.weights
+    diagnosis = _outvoted(diagnosis, weights)
+    start = moved = cloud.moved(np.zeros_like(cloud.start))
+    # The learned prior may have moved a cloud that no step improved.
+    by_prior = optimised.begun is not None and bool((optimised.best != cloud.start).any())
+    improved = not diagnosis.fits and (optimised.best_step > 0 or by_prior)
+    if improved:
+        moved = cloud.moved(optimised.best - cloud.start)
+    of_shape = _ious(problem, problem.views, moved)
+    before, after = np.average(np.array(of_shape), axis=0, weights=weights)
+    if settings.smooth and problem.masks_alone and after < before:
+        # The loss counts distances, and may fall while the IoU falls too.
+        improved, moved = False, start
+        of_shape = [(iou, iou) for iou, _ in of_shape]
+    ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
+    trust = _trust(problem, optimised, moved, improved, move, diagnosis, settings, of_shape)
+    doubtful = trust.verdict == "doubtful" and not (trust.moves or settings.accept_doubtful)
+    if doubtful:
+        move, moved = move.taken_back("the result is doubtful"), start
+        ious = [(before, before) for before, _ in ious]
+    taken = improved and not doubtful
+    at = cloud.start + moved.displacements
     lengths = np.linalg.norm(moved.displacements, axis=1)
     begun = cloud.start if optimised.begun is None else optimised.begun.points
-    chamfer, _ = ChamferToStart(cloud.start)(cloud.start + moved.displacements)
-    iou_before, iou_after = np.mean(ending.ious, 0).tolist()
+    iou_before, iou_after = np.mean(ious, 0).tolist()
     fit = Fit(
-        outcome=ending.outcome,
+        outcome="moved" if taken else "left",
         steps=optimised.steps,
-        best_step=optimised.best_step if ending.outcome == "moved" else 0,
-        stop_reason=_stop_reason(optimised, ending, settings.steps),
+        best_step=optimised.best_step if taken else 0,
+        stop_reason=_stop_reason(optimised, settings, diagnosis.fits, doubtful, improved),
         losses=losses,
-        loss_before=0.0 if ending.stop_reason == "nothing_to_do" else optimised.first_loss,
-        loss_after=_loss_after(optimised, ending),
+        loss_before=optimised.first_loss,
+        loss_after=optimised.best_loss if taken else optimised.first_loss,
         iou_before=iou_before,
         iou_after=iou_after,
         moved_by_prior=float(np.linalg.norm(begun - cloud.start, axis=1).mean()),
         moved_mean=float(lengths.mean()),
         moved_max=float(lengths.max()),
-        chamfer_to_initial=chamfer,
+        chamfer_to_initial=ChamferToStart(cloud.start)(at)[0],
     )
     views = tuple(
         ViewFit(
@@ -107,12 +105,11 @@ def judge(
             cells=windowed.resampled.camera.width,
         )
         for view, windowed, (before, after), weight in zip(
-            given, problem.given, ending.ious, weights, strict=True
+            given, problem.given, ious, weights, strict=True
         )
     )
     determined = confidence = None
     if settings.smooth:
-        at = cloud.start + moved.displacements
         of_points = shares_fixed(at, all_blocks(at, problem, weights))
         determined = float(of_points.mean())
         if settings.point_confidence:
@@ -129,113 +126,71 @@ def judge(
         move=move,
         views=views,
         symmetry=problem.symmetry,
-        trust=ending.trust,
-        cost=Cost(seconds, decisions(problem, settings, optimised)),
+        trust=trust,
+        cost=Cost(seconds),
         findings=(*diagnosis.findings, *_contradicted(weights)),
         determined=determined,
         point_confidence=confidence,
     )
 
 
-def _ending(
-    weighed: WeighedProblem,
+def _trust(
     problem: Problem,
     optimised: Optimised,
-    given: Sequence[View],
+    moved: MovedCloud,
+    improved: bool,
     move: Move,
     diagnosis: Diagnosis,
     settings: Settings,
-) -> _Ending:
-    diagnosis = _outvoted(diagnosis, weighed)
-    cloud = problem.cloud
-    displacements = optimised.best - cloud.start
-    moved, of_shape = _moved(problem, displacements)
-    # The learned prior may have moved a cloud that no step improved.
-    improved = optimised.best_step > 0 or (optimised.begun is not None and displacements.any())
-    kept: StopReason | None = None if improved else "not_improved"
-    if kept and diagnosis.fits:
-        kept = "fits"
-    elif settings.smooth and problem.masks_alone:
-        kept = _why_start_is_kept(problem, moved, of_shape, weighed.weights) or kept
-    start = cloud.moved(np.zeros_like(displacements))
-    if kept:
-        moved, displacements = start, np.zeros_like(displacements)
-        of_shape = [(before, before) for before, _ in of_shape]
-    unknown = NO_REASON if kept else _why_unknown(problem, optimised, settings)
-    of_run = problem, optimised, displacements, moved, of_shape, move, diagnosis
-    facts, features = _facts(*of_run, not kept, settings.move != "auto", unknown)
-    trust = trust_of(facts, features)
-    ious = of_shape if move.kind == "nothing" else _ious(problem, given, moved)
-    if trust.verdict == "doubtful" and not (trust.moves or settings.accept_doubtful):
-        return _Ending(start, [(before, before) for before, _ in ious], trust, "left", "doubtful")
-    return _Ending(moved, ious, trust, "left" if kept else "moved", kept)
-
-
-def _facts(
-    problem: Problem,
-    optimised: Optimised,
-    displacements: Array,
-    moved: MovedCloud,
-    ious: Ious,
-    move: Move,
-    diagnosis: Diagnosis,
-    improved: bool,
-    asked: bool,
-    unknown: Why,
-) -> tuple[Facts, dict[str, float]]:
-    """What is known of a displaced cloud, and the features of its confidence."""
-    cloud = problem.cloud
+    ious: Sequence[tuple[float, float]],
+) -> Trust:
+    """What to think of the ``moved`` cloud. ``ious`` : of each view, after the ``move``."""
+    cloud, placed = problem.cloud, move.kind != "nothing"
     before, after = missed_by(cloud.body, problem.views, moved.measured)
-    features = features_of(problem, displacements, optimised.begun, diagnosis, (before, after))
+    of_run = problem, moved.displacements, optimised.begun, diagnosis
+    features = features_of(*of_run, (before, after))
     confidence, group = confidence_of(features)
-    far = move.apply(moved.points) - cloud.source.points
+    far = root_mean_square(move.apply(moved.points) - cloud.source.points) / cloud.scale
     overlap = np.mean(ious, 0).tolist()
-    placed = move.kind != "nothing"
     facts = Facts(
         diagnosis,
         improved,
         placed,
-        asked,
+        asked=settings.move != "auto",
         explains=move.explains,
-        far=root_mean_square(far) / cloud.scale,
+        far=far,
         missed=(move.missed_before if placed else before, after),
         overlap=(overlap[0], overlap[1]),
         confidence=confidence,
         group=group,
-        unknown=unknown,
+        unknown=_why_unknown(problem, optimised, settings) if improved else NO_REASON,
     )
-    return facts, features
+    return trust_of(facts, features)
 
 
-def _outvoted(diagnosis: Diagnosis, weighed: WeighedProblem) -> Diagnosis:
+def _outvoted(diagnosis: Diagnosis, weights: Sequence[float]) -> Diagnosis:
     """The diagnosis; views that something is wrong with are outvoted only if they count little."""
     wrong = {view for finding in diagnosis.of_views for view in finding.views}
-    little = all(weighed.weights[view] < CONTRADICTED_WEIGHT for view in wrong)
+    little = all(weights[view] < CONTRADICTED_WEIGHT for view in wrong)
     return replace(diagnosis, outvoted=diagnosis.outvoted and little)
 
 
 def _why_unknown(problem: Problem, optimised: Optimised, settings: Settings) -> Why:
     """Why there is no confidence, if there is none."""
-    # An optimisation that ended because no loss was left is whole.
-    steps = settings.steps if optimised.losses[-1] == 0.0 else optimised.steps
     points = len(problem.cloud.control_points)
-    # What is left undone looks like a mistake.
-    few = steps < max(1.0, settings.steps / 2)
-    reasons = (
-        ("points", f"{points} points are too few", points < FEWEST_CONTROL_POINTS),
-        ("interrupted", "it was interrupted", few and optimised.interrupted),
-        ("steps", f"{steps} steps are too few", few),
-    )
-    return next(((name, says) for name, says, holds in reasons if holds), NO_REASON)
+    if points < FEWEST_CONTROL_POINTS:
+        return "points", f"{points} points are too few"
+    # An optimisation that ended because no loss was left is whole; what is left undone looks like a
+    # mistake.
+    steps = settings.steps if optimised.losses[-1] == 0.0 else optimised.steps
+    if steps >= max(1.0, settings.steps / 2):
+        return NO_REASON
+    if optimised.interrupted:
+        return "interrupted", "it was interrupted"
+    return "steps", f"{steps} steps are too few"
 
 
-def _moved(problem: Problem, displacements: Array) -> tuple[MovedCloud, Ious]:
-    """The cloud after ``displacements``, and the IoU of each view before and after them."""
-    moved = problem.cloud.moved(displacements)
-    return moved, _ious(problem, problem.views, moved)
-
-
-def _ious(problem: Problem, before: Sequence[View], moved: MovedCloud) -> Ious:
+def _ious(problem: Problem, before: Sequence[View], moved: MovedCloud) -> list[tuple[float, float]]:
     """The IoU of the start in each view of ``before``, and of the ``moved`` cloud afterwards.
 
     Both are in the same window.
@@ -248,59 +203,18 @@ def _ious(problem: Problem, before: Sequence[View], moved: MovedCloud) -> Ious:
     return ious
 
 
-def _why_start_is_kept(
-    problem: Problem, moved: MovedCloud, ious: Ious, weights: Sequence[float]
-) -> StopReason | None:
-    """Why the start is better than the ``moved`` cloud by masks alone; None if it is not."""
-    if problem.cloud.partial:
-        before, after = _misfits(problem, moved, weights)
-        if after >= before:
-            return "not_improved" if before else "nothing_to_do"
-    return "not_improved" if _agrees_less(ious, weights) else None
-
-
-def _agrees_less(ious: Ious, weights: Sequence[float]) -> bool:
-    """Whether the IoU fell.
-
-    The mask Chamfer loss counts distances, and may fall while the IoU falls too, as for a right
-    start and a coarse mask.
-    """
-    before, after = np.average(ious, axis=0, weights=weights)
-    # Coming nearer to a mask that is hardly touched, as a pole to another, need not raise the IoU.
-    return bool(after < before and before >= LEAST_OVERLAP)
-
-
-def _misfits(problem: Problem, moved: MovedCloud, weights: Sequence[float]) -> tuple[float, float]:
-    """The mask Chamfer loss of all measured points, before and after.
-
-    Between few control points there are gaps, which ask for a motion that the whole cloud does not
-    need.
-    """
-    loss = problem.without_flipped().targets(weights).loss
-    most = SAMPLES_OF_A_MESH if problem.cloud.source.surface else CANDIDATES
-    before, after = (
-        loss(problem.cloud.normalise(scattered(points, most)))[0]
-        for points in (problem.cloud.measured, moved.measured)
-    )
-    return before, after
-
-
-def _loss_after(optimised: Optimised, ending: _Ending) -> float:
-    """By the objective without the position prior."""
-    if ending.outcome != "moved":
-        return 0.0 if ending.stop_reason == "nothing_to_do" else optimised.first_loss
-    return optimised.best_loss
-
-
-def _stop_reason(optimised: Optimised, ending: _Ending, steps: int) -> StopReason:
+def _stop_reason(
+    optimised: Optimised, settings: Settings, fits: bool, doubtful: bool, improved: bool
+) -> StopReason:
     if optimised.steps + 1 < len(optimised.losses):
         return "non_finite"
     if optimised.interrupted:
         return "interrupted"
-    kept = ending.stop_reason
-    if not kept or (steps == 0 and kept != "fits"):
-        return "max_steps"
-    return "nothing_to_do" if optimised.first_loss == 0.0 and kept != "fits" else kept
+    if doubtful and settings.steps:
+        return "doubtful"
+    if fits:
+        return "fits"
+    return "max_steps" if improved or not settings.steps else "not_improved"
 
 
 def _contradicted(inlier_weights: Sequence[float]) -> list[Finding]:

@@ -12,13 +12,11 @@ from ..geometry.camera import Camera
 from ..optimisation.settings import Settings
 from ..optimisation.symmetry import SymmetryDecision
 from ..pose.move import Move
-from .decisions import Decision
 
 StopReason = Literal[
     "max_steps",
     "interrupted",
     "non_finite",
-    "nothing_to_do",
     "not_improved",
     "fits",
     "doubtful",
@@ -37,9 +35,9 @@ class Fit:
     steps : steps that were done. best_step : the step that the result is from. 0 is where the
         optimisation began: a moved cloud with 0 is as the learned prior moved it.
     stop_reason : "max_steps". After "interrupted" (Ctrl-C) and "non_finite" (the loss became NaN or
-        infinite) the best so far is kept. Where the result is the start: "nothing_to_do" (its loss
-        is 0), "fits" (it fits the contours), "not_improved" (no moved cloud was better) or
-        "doubtful" (what moved may be worse).
+        infinite) the best so far is kept. Where the result is the start: "fits" (it fits the
+        contours), "not_improved" (no moved cloud was better) or "doubtful" (what moved may be
+        worse).
     losses : the objective where the optimisation begins, and after every step.
     loss_before, loss_after : of the start and of the result; with the default preset in points
         mode without the position prior.
@@ -90,10 +88,9 @@ class ViewFit:
 
 @dataclass(frozen=True)
 class Cost:
-    """seconds : wall time of each phase. decisions : what was decided from the scene, and why."""
+    """seconds : wall time of each phase."""
 
     seconds: dict[str, float]
-    decisions: tuple[Decision, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,9 +7,8 @@ from functools import partial
 
 from ..cloud.cloud import ControlledCloud
 from ..diagnosis.examine import Diagnosis, NoOverlapError, examine, explained
-from ..diagnosis.explain import Margin
+from ..diagnosis.explain import SIMILAR, agreement
 from ..diagnosis.placement import require_plane_through
-from ..diagnosis.verification import verify_hypotheses
 from ..geometry.arrays import Array
 from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
@@ -41,18 +40,12 @@ def run(
     with clock.phase("prepare"):
         prior = named_prior(settings.prior)
         cloud = scene.cloud.controlled(settings.points, scene.views)
+    before = scene.views
+    move, scene, diagnosis = _begun(scene, cloud, settings, clock)
     given = scene.views
-    move, scene = _moved(scene, cloud, settings, clock)
-    if move.kind == "nothing":
-        # Also with outlines that are corrected.
-        given = scene.views
-    diagnosis = _diagnosed(scene, cloud, move, settings, clock)
-    with clock.phase("prepare"):
-        if diagnosis.hidden:
-            scene = scene.without(diagnosis.hidden)
-            pairs = zip(given, scene.views, strict=True)
-            given = tuple(replace(view, known=seen.known) for view, seen in pairs)
-    scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
+    if move.kind != "nothing":
+        pairs = zip(before, given, strict=True)
+        given = tuple(replace(view, known=after.known) for view, after in pairs)
     with clock.phase("prepare"):
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
@@ -79,63 +72,62 @@ def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, Controlled
     clock = Clock()
     named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
-    move, scene = _moved(scene, cloud, settings, clock)
-    diagnosis = _diagnosed(scene, cloud, move, settings, clock)
-    scene, diagnosis = _fitted(scene, cloud, diagnosis, settings, clock)
+    move, _, diagnosis = _begun(scene, cloud, settings, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
     return diagnosis, cloud, move
 
 
-def _moved(
+def _begun(
     scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock
-) -> tuple[Move, RefineScene]:
-    """What moves as one first, and the scene after it without wrong depth maps."""
-    find = partial(_move, cloud=cloud, settings=settings, clock=clock)
-    if not settings.smooth:
-        # Depth maps are refused later.
-        move = find(scene)
-        return move, scene.after(move)
-    move, placed = move_with_maps(scene, cloud.control_points, settings.move, find)
-    return move, placed.with_outlines(move.growth) if move.growth else placed
+) -> tuple[Move, RefineScene, Diagnosis]:
+    """What moves as one first, the scene after it as its shape is refined, and its diagnosis."""
+
+    def examined(scene: RefineScene) -> Diagnosis:
+        # The network modes place their cloud themselves.
+        of_scene = scene.read, scene.views, scene.assumptions, settings.mode == "points"
+        return clock.attempt("prepare", partial(examine, cloud, *of_scene), Diagnosis(()))
+
+    diagnosis = examined(scene)
+    find = partial(_move, cloud, settings, diagnosis, clock)
+    move, scene = move_with_maps(scene, cloud.control_points, settings, find)
+    if move.kind != "nothing":
+        diagnosis = examined(scene)
+    elif move.growth:
+        scene = scene.with_outlines(move.growth)
+    if diagnosis.apart:
+        raise NoOverlapError(diagnosis.after(scene.known), cloud)
+    if settings.smooth:
+        find_causes = partial(explained, diagnosis, cloud.body, scene.views, move)
+        diagnosis = clock.attempt("prepare", find_causes, diagnosis)
+    scene = fit_maps(scene.without(diagnosis.hidden), cloud, settings, clock)
+    return move, scene, diagnosis.after(scene.known)
 
 
-def _fitted(
-    scene: RefineScene,
+def _move(
     cloud: ControlledCloud,
-    diagnosis: Diagnosis,
     settings: Settings,
+    as_given: Diagnosis,
     clock: Clock,
-) -> tuple[RefineScene, Diagnosis]:
-    """The scene with depth maps along z, and the diagnosis with what was fitted."""
-    scene, found = fit_maps(scene, cloud, settings, clock)
-    return scene, replace(diagnosis, notes=(*found, *diagnosis.notes))
-
-
-def _move(scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock) -> Move:
-    """What moves as one first."""
-    asked = settings.move
-    body, views, keep = cloud.body, scene.views, settings.keep
+    scene: RefineScene,
+) -> Move:
+    """What moves as one first, unless something that was found in the input is likelier."""
+    asked, views = settings.move, scene.views
     if asked == "shape" and not settings.smooth:
         return unmoved(views, "the shape alone was asked for")
-    find = partial(find_move, body, views, asked, keep)
+    find = partial(find_move, cloud.body, views, asked, settings.keep)
     move = clock.attempt("place", find, unmoved(views, "interrupted"))
-    if move.kind == "nothing" or move.why_unsure:
+    suspects = [one for one in as_given.suspicious if one.hypotheses]
+    if move.kind == "nothing" or move.why_unsure or not suspects:
         return move
-    with clock.phase("place"):
-        as_given, moved = (
-            _examined_anyhow(some, cloud, settings) for some in (scene, scene.after(move))
-        )
-    likelier = asked == "auto" or not move.explains
-    for one in (*as_given.suspicious, *(as_given.weak if asked == "auto" else ())):
-        says = f"perhaps {one.says} instead ({one.name})"
-        # A mask that is flipped or upside down is met by a cloud that is turned the wrong way.
-        if move.is_far and any(hypothesis.of_mask for hypothesis in one.hypotheses):
-            return replace(move, why_unsure=says)
-        # What has nothing to fit, and explains as much, is likelier than a move.
-        explained = moved.explanation.as_given if moved.explanation else 0.0
-        if likelier and one.hypotheses and one.score >= explained - Margin.SIMILAR:
-            return unmoved(scene.views, says)
+    says = f"perhaps {suspects[0].says} instead ({suspects[0].name})"
+    # A mask that is flipped or upside down is met by a cloud that is turned the wrong way.
+    if move.is_far and any(one.of_mask for finding in suspects for one in finding.hypotheses):
+        return replace(move, why_unsure=says)
+    # What has nothing to fit, and explains as much, is likelier than a move.
+    least = agreement(cloud.control_points, scene.after(move).views) - SIMILAR
+    if (asked == "auto" or not move.explains) and suspects[0].score >= least:
+        return unmoved(views, says)
     return move
 
 
@@ -146,37 +138,3 @@ def _in_unit_of(cloud: ControlledCloud, on_progress: Progress) -> Progress:
         on_progress(step, steps, loss, cloud.denormalise(points))
 
     return report
-
-
-def _examined(scene: RefineScene, cloud: ControlledCloud, settings: Settings) -> Diagnosis:
-    # The network modes place their cloud themselves.
-    hypotheses = settings.mode == "points"
-    of_scene = scene.read, scene.views, scene.assumptions, scene.known
-    return examine(cloud, *of_scene, hypotheses=hypotheses)
-
-
-def _diagnosed(
-    scene: RefineScene, cloud: ControlledCloud, move: Move, settings: Settings, clock: Clock
-) -> Diagnosis:
-    """What may be wrong with a scene, after the ``move``."""
-    with clock.phase("prepare"):
-        diagnosis = _examined(scene, cloud, settings)
-    if move.fits or move.causes:
-        # What nearly nothing contradicts needs no weak explanation.
-        diagnosis = replace(diagnosis, weak=())
-    of_scene = cloud.body, scene.read, scene.assumptions
-    diagnosis = clock.attempt(
-        "prepare", partial(verify_hypotheses, diagnosis, *of_scene), diagnosis
-    )
-    if not settings.smooth:
-        return diagnosis
-    find_causes = partial(explained, diagnosis, cloud.body, scene.views, move)
-    return clock.attempt("prepare", find_causes, diagnosis)
-
-
-def _examined_anyhow(scene: RefineScene, cloud: ControlledCloud, settings: Settings) -> Diagnosis:
-    """The diagnosis, also where cloud and masks do not meet."""
-    try:
-        return _examined(scene, cloud, settings)
-    except NoOverlapError as error:
-        return error.diagnosis

@@ -19,9 +19,6 @@ from ..geometry.outline import shrunk
 from ..geometry.view import OUTLINE_ERROR, View
 from ..pose.move import Move
 
-# A cloud that a depth map makes this many times as large, or as small, is worth a warning.
-RESCALED = 3.0
-
 
 @dataclass(frozen=True, eq=False)
 class RefineScene:
@@ -72,10 +69,6 @@ class RefineScene:
         if move.kind == "nothing":
             return self
         known = self.known
-        times = move.size
-        with_depth = any(view.depth is not None for view in self.views)
-        if with_depth and max(times, 1.0 / times) > RESCALED:
-            known += (Finding("rescaled", values={"times": times}),)
         if move.why_unsure:
             known += (Finding("unsure-place", values={"why": move.why_unsure}),)
         return replace(self, read=move.views, assumptions=(), known=known, settled=())
@@ -83,7 +76,8 @@ class RefineScene:
 
 def as_scene(
     cloud: Any,
-    views: Any,
+    masks: Any,
+    cameras: Camera | Sequence[Camera] | None = None,
     assume: Sequence[str | Assumption] = (),
     known: Sequence[Finding] = (),
     name: str = "points",
@@ -91,7 +85,11 @@ def as_scene(
     """The scene of a `Cloud`, or of points [N, 3] called ``name`` in messages, and its views."""
     if not isinstance(cloud, Cloud):
         cloud = Cloud(cloud, name)
-    views = as_views(views)
+    views = as_views(masks, cameras)
+    listed = masks if isinstance(masks, Sequence) else [masks]
+    with_camera = cameras is not None or any(isinstance(one, View) for one in listed)
+    if not with_camera and not cloud.predicted:
+        known = (*known, Finding(ASSUMED_CAMERA, (0,)))
     if isinstance(assume, str) or not isinstance(assume, Iterable):
         raise InputError(f"`assume` is {assume!r}, expected a sequence of names")
     if others := [one for one in assume if not isinstance(one, (str, Assumption))]:
@@ -100,14 +98,6 @@ def as_scene(
     assumptions = [one for one in assume if isinstance(one, Assumption)]
     assumptions += assumptions_of(texts, [view.name for view in views]) if texts else ()
     return RefineScene(cloud, views, tuple(assumptions), tuple(known))
-
-
-def assumed_cameras(masks: Any, cameras: Any) -> tuple[Finding, ...]:
-    """The finding that a mask has the canonical camera because none was given."""
-    listed = masks if isinstance(masks, Sequence) else [masks]
-    if cameras is not None or any(isinstance(one, View) for one in listed):
-        return ()
-    return (Finding(ASSUMED_CAMERA, (0,)),)
 
 
 def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tuple[View, ...]:

@@ -365,16 +365,6 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
             for view in document["views"]
         ),
     )
-    decisions = document["decisions"]
-    decided = "<p>This mode and preset decide nothing from the scene.</p>"
-    if decisions:
-        decided = _table(
-            ("what", "choice", "reason", "work saved"),
-            (
-                (one["what"], one["choice"], one["reason"], f"{100 * one['saving']:.0f} %")
-                for one in decisions
-            ),
-        )
     suspects = document["suspects"]
     suspicious = ""
     if suspects:
@@ -395,8 +385,7 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
     return (
         "<section><h2>Details</h2>"
         f"<h3>Views</h3>{views}{suspicious}"
-        f"<div class=two><div><h3>Loss</h3>{_losses(document)}</div>"
-        f"<div><h3>Decisions</h3>{decided}</div></div>"
+        f"<h3>Loss</h3>{_losses(document)}"
         f"<h3>Command</h3><div class=copy><pre id=command>{text(words.command)}</pre>"
         '<button type=button data-copy="command">Copy</button></div>'
         f"<div class=two><details open><summary>Settings</summary>{settings}</details>"
