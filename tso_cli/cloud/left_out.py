@@ -14,7 +14,7 @@ import numpy as np
 
 from ..evaluation.footprint import window_iou
 from ..geometry.arrays import Array, Bits
-from ..geometry.points import bounding_box_normalisation, bounds, longest_side, scattered
+from ..geometry.points import bounding_box_normalisation, longest_side, quantile, scattered
 from ..geometry.view import View
 from ..pose.move import FITS, FITS_NEARLY, Body
 from ..pose.placing import MOST_VIEWS, missed_by
@@ -29,8 +29,10 @@ APART = 1.5
 FAR = 4.0
 # A smaller share of the points is none: thin parts of exact clouds are missing from coarse masks.
 LEAST_SHARE = 0.005
-# Points by which is decided.
-DECIDING = 4096
+# Points by which is decided, and points that are left out by which a plane is searched.
+DECIDING, OF_PLANE = 4096, 1024
+# Views whose overlap is compared; each takes milliseconds.
+OVERLAPPING_VIEWS = 4
 
 
 class Ground:
@@ -41,9 +43,11 @@ class Ground:
     # The least share of the points on it or below that masks leave out, and that lie beyond the
     # object's box. Grounds of 1.5 object widths have 0.36; clouds of another shape at most 0.1.
     LEAST_BEYOND = 0.4
+    MOST_BELOW = 0.08  # the largest share of the points on masks that lie below the plane
     # By how much the IoU with the masks rises without the ground: by 0.13 and more for exact clouds
     # on a ground of 1.5 object widths, and by at most 0.1 for clouds of another shape or place.
     LEAST_GAIN = 0.1
+    TAIL = 0.005  # the share of points that does not widen the object's box, on each side
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +107,7 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
     ground = _ground(points, left)
     if ground is not None:
         above = points[~ground.holds(points)]
-        if _overlap(above, some) < _overlap(points, some) + Ground.LEAST_GAIN:
+        if _overlap(above, views) < _overlap(points, views) + Ground.LEAST_GAIN:
             ground = None
         else:
             with_base = replace(ground, base=True)
@@ -140,37 +144,54 @@ def _missed(points: Array, views: Sequence[View]) -> float:
 
 
 def _overlap(points: Array, views: Sequence[View]) -> float:
-    return float(np.mean([window_iou(points, view) for view in views]))
+    some = some_views(views, OVERLAPPING_VIEWS)
+    return float(np.mean([window_iou(points, view) for view in some]))
 
 
 def _ground(points: Array, left: Bits) -> Plane | None:
     """The ground, of ``points`` [N, 3] that are ``left`` [N] out."""
     kept = points[~left]
-    half = Ground.HALF_THICKNESS * longest_side(kept)
+    low, high = (quantile(kept, share) for share in (Ground.TAIL, 1.0 - Ground.TAIL))
+    size = float((high - low).max())
+    half = Ground.HALF_THICKNESS * size
     middle = kept.mean(0)
-    outside = points[left] - middle
+    outside, inside = (scattered(some, OF_PLANE) - middle for some in (points[left], kept))
     first, second, third = outside[
         np.random.default_rng(0).integers(0, len(outside), (3, Ground.TRIES))
     ]
     normals = np.cross(second - first, third - first)
     lengths = np.linalg.norm(normals, axis=1)
-    real = lengths > 0.0
+    real = lengths > (half * size)
     if not real.any():
         return None
     normals = normals[real] / lengths[real, None]
-    on = np.abs(outside @ normals.T - (first[real] * normals).sum(1)) < half
-    sheet = outside[on[:, on.sum(0).argmax()]]
-    axes = np.linalg.svd(sheet - sheet.mean(0), full_matrices=False)[2]
+    heights = (first[real] * normals).sum(1)
     # Upwards, to where the object is.
-    normal = axes[2] * (-1.0 if axes[2] @ sheet.mean(0) > 0.0 else 1.0)
-    height = float((sheet.mean(0) + middle) @ normal + half)
-    below = points @ normal < height
-    if below.all():
+    upwards = np.where(heights <= 0.0, 1.0, -1.0)
+    normals, heights = normals * upwards[:, None], heights * upwards
+    over = outside @ normals.T - heights
+    on = (np.abs(over) < half).sum(0)
+    beneath = (over < half).sum(0) - (inside @ normals.T - heights < -half).sum(0)
+    best = np.where(2 * on >= on.max(), beneath, -len(points)).argmax()
+    sheet = outside[np.abs(over[:, best]) < half]
+    if len(sheet) < 3:
+        return None
+    axes = np.linalg.svd(sheet - sheet.mean(0), full_matrices=False)[2]
+    normal = axes[2] * (1.0 if axes[2] @ normals[best] > 0.0 else -1.0)
+    height = float(sheet.mean(0) @ normal)
+    if (inside @ normal - height < -half).mean() > Ground.MOST_BELOW:
+        return None
+    height = float(height + middle @ normal + half)
+    over_top = points @ normal - height
+    below = over_top < 0.0
+    # A chunk of another object is no ground.
+    if below.all() or 2 * np.count_nonzero(over_top[below] < -2.0 * half) > below.sum():
         return None
     # In the plane, what is beyond all that is above it.
     in_plane = points @ axes[:2].T
-    low, high = bounds(in_plane[~below])
+    above = in_plane[~below]
+    low, high = (quantile(above, share) for share in (Ground.TAIL, 1.0 - Ground.TAIL))
     beyond = ((in_plane < low) | (in_plane > high)).any(1) & left
-    if not beyond[below].mean() > Ground.LEAST_BEYOND:
+    if beyond[below].mean() <= Ground.LEAST_BEYOND:
         return None
     return Plane(np.stack([*axes[:2], normal]), height, low, high, 2.0 * half)

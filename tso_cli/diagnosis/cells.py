@@ -71,6 +71,15 @@ class Cells:
             numbers = (places - self.low[axis]) * (1.0 / self.edge) + CELLS
             return np.clip(numbers, 0.0, count - 0.5).astype(np.int64)
 
+    def stretched(self, places: Array, visible: Bits, axis: int) -> Array:
+        """``places`` [C, N] along x (``axis`` 0) or y, so that the visible ones fill the box."""
+        low = np.where(visible, places, np.inf).min(1, keepdims=True)
+        high = np.where(visible, places, -np.inf).max(1, keepdims=True)
+        size = self.edge * self.inside.shape[1 - axis] - 1e-6
+        with np.errstate(invalid="ignore"):
+            filled: Array = self.low[axis] + (places - low) * (size / np.maximum(high - low, 1e-9))
+        return filled
+
 
 def visible_in(view: View, x: Array, y: Array) -> Bits:
     """Which of the places ``x`` and ``y``, px, fall on known pixels of a view's image."""
@@ -147,10 +156,11 @@ class Outline:
         return x, y, [change.inverted for change in changes]
 
     def ious(self, points: Array, options: Sequence[Sequence[Assumption]]) -> Array:
-        """[C], IoU of the mask and ``points`` [N, 3] in cells under each option alone.
+        """[C + 1], IoU of the mask and ``points`` [N, 3] in cells under each option alone.
 
-        A camera inside the cloud sees points everywhere, so an option loses that share of its IoU
-        by which it puts more points behind the camera than the first option.
+        The last is under the first option, of points that are stretched so that their box is the
+        box of the mask. A camera inside the cloud sees points everywhere, so an option loses that
+        share of its IoU by which it puts more points behind the camera than the first option.
         """
         x, y, inverted = self.project(points, options)
         visible, found = visible_in(self.view, x, y), np.zeros(len(options))
@@ -158,4 +168,7 @@ class Outline:
             rows = np.array(inverted) == changed
             found[rows] = cells.ious(x[rows], y[rows], visible[rows])
         in_front = (~np.isnan(x)).mean(1)
-        return found * np.minimum(1.0, in_front / max(in_front[0], 1e-9))
+        found *= np.minimum(1.0, in_front / max(in_front[0], 1e-9))
+        cells, shown = self.cells[inverted[0]], visible[:1]
+        column, row = cells.stretched(x[:1], shown, 0), cells.stretched(y[:1], shown, 1)
+        return np.append(found, cells.ious(column, row, shown))

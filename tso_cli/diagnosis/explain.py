@@ -39,6 +39,9 @@ SIMILAR = 0.03
 # A single view may be wrong if its IoU is lower than the median of the others by this, and higher
 # by this under a hypothesis.
 BELOW_OTHERS = 0.15
+# A hypothesis that turns the object must explain the views about as well, but for this IoU, as a
+# cloud of other proportions does: a stretched can looks like a can whose axes are exchanged.
+BELOW_STRETCHED = 0.04
 # A width that K may be of differs from the width of the picture by this share.
 OTHER_WIDTH = 0.05
 # Widths that are tried: those of the most views.
@@ -74,9 +77,16 @@ class Candidate:
     def of_cloud(self) -> bool:
         return any(one.hypothesis.of_cloud for one in self.changed)
 
+    @property
+    def turns(self) -> bool:
+        return any(one.hypothesis.turns for one in self.changed)
+
 
 class Table:
-    """The IoU of each candidate [C] with each view [V]; candidate 0 is the input as given."""
+    """The IoU of each candidate [C] with each view [V]; candidate 0 is the input as given.
+
+    The last row is of the input as given, if the box of the cloud were that of the mask.
+    """
 
     def __init__(
         self, points: Array, outlines: Sequence[Outline], given: Sequence[Assumption]
@@ -91,10 +101,15 @@ class Table:
 
         If leaving an assumption out explains them, none is added.
         """
-        before, *scores = self.ious[:, views].mean(1).tolist()
+        before, *scores, stretched = self.ious[:, views].mean(1).tolist()
         least = max(before + GAIN, LEAST_IOU)
-        pairs = list(zip(scores, self.candidates[1:], strict=True))
-        pairs = [one for one in pairs if one[0] >= least and (of_cloud or not one[1].of_cloud)]
+        if_turned = max(least, stretched - BELOW_STRETCHED)
+        pairs = [
+            (score, candidate)
+            for score, candidate in zip(scores, self.candidates[1:], strict=True)
+            if score >= (if_turned if candidate.turns else least)
+            and (of_cloud or not candidate.of_cloud)
+        ]
         pairs.sort(key=lambda one: -one[0])
         without = [one for one in pairs if one[1].without and one[0] >= pairs[0][0] - SIMILAR]
         findings = []
@@ -107,7 +122,7 @@ class Table:
 
 def agreement(points: Array, views: Sequence[View]) -> float:
     """Mean IoU, in coarse cells, of ``points`` [N, 3] and masks as they are."""
-    return float(np.mean([Outline(view).ious(points, [()]) for view in views]))
+    return float(np.mean([Outline(view).ious(points, [()])[0] for view in views]))
 
 
 def explain(

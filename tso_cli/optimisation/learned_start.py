@@ -19,6 +19,9 @@ PASSES = 2
 # A start is right if the first step moves it by less, as a root mean square in longest sides. Of
 # validation shapes, other shapes and clouds in another place are asked to move further.
 RIGHT = 0.002
+# The share of a displacement that is taken is the mean loss of the start, px^2 per mask pixel, but
+# at least this: a start that fits gains less, and loses as much where the prior is wrong.
+LEAST_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +60,13 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
     if asked < RIGHT and problem.masks_alone:
         return Beginning(start, True, first.sureness)
     points, lowest = start, targets.loss(start)[0]
+    taken = observed * np.clip(lowest / targets.pixels, LEAST_SHARE, 1.0)
     for number in range(PASSES):
         if number:
             answer = seen.ask(prior, points)
         if answer is None:
             break
-        moved = points + observed * answer.displacements
+        moved = points + taken * answer.displacements
         loss = targets.loss(moved)[0]
         if not loss < lowest:
             break
