@@ -25,7 +25,7 @@ class Search:
 
     POINTS = 256  # that candidate planes are fitted to
     MEASURED_POINTS = 1024  # that the misfit of a plane is measured at
-    UPDATES = 8  # of the candidates, and of the best of them
+    UPDATES = 5  # of the candidates, and of the best of them
     EQUALLY_FAR = 1e-9  # squared distances that differ by at most this share differ by rounding
     PAIRED_SHARE = 0.8  # the furthest fifth has no counterpart, and would turn the plane
 
