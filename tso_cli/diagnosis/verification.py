@@ -19,8 +19,8 @@ from .findings import Finding
 # it, is under this, and if it leaves less than all. Of 290 right inputs, half of them stretched,
 # and of 513 candidates that are right, it confirms 5 and 510.
 LEFT = 0.79
-# There are many other orders of the masks, so one must leave less: of 64 right orders none is called
-# wrong then, and 94 of 106 wrong ones are.
+# There are many other orders of the masks, so one must leave less: then none of 64 right orders is
+# called wrong, and 94 of 106 wrong ones are.
 LEFT_OF_ORDER = 0.72
 
 
