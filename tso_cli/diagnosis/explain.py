@@ -39,7 +39,7 @@ SIMILAR = 0.03
 # A single view may be wrong if its IoU is lower than the median of the others by this, and higher
 # by this under a hypothesis.
 BELOW_OTHERS = 0.15
-# A hypothesis that turns the object may explain the views less well, by this IoU, than a cloud of
+# A hypothesis that turns the cloud may explain the views less well, by this IoU, than a cloud of
 # other proportions does, and no worse: a stretched can looks like a can whose axes are exchanged.
 BELOW_STRETCHED = 0.04
 # A width that K may be of differs from the width of the picture by this share.

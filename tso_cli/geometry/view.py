@@ -17,7 +17,7 @@ from .depth_kind import FITTED, DepthKind
 # How exactly a mask shows where its outline is, in pixels: that of a mask with pixels of 0 and 1.
 OUTLINE_ERROR = 0.5
 # That of a mask that shows an object with so few pixels along its longer side, or fewer: its pixels
-# come from another grid, and are on or off by a rule of their own. In between it falls as 1 / side.
+# come from another grid, and are on or off by a rule of their own. With more it falls as 1 / side.
 COARSE_ERROR, COARSE_SIDE = 0.75, 24.0
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15

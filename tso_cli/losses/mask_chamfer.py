@@ -18,6 +18,8 @@ REFERENCE_SIDE = 64.0
 # A point covers a pixel if its distance, px, to the pixel's centre is at most this: half the
 # diagonal of a pixel, which is the largest distance from a point to the nearest centre.
 COVERED_WITHIN = 0.7
+# The steps [9, 2] from a pixel to itself and to the eight around it.
+NEIGHBOURS = np.argwhere(np.ones((3, 3))) - 1
 # Points outside the mask weigh as if the cloud had this many points, because the density of a cloud
 # says nothing about its error.
 REFERENCE_POINTS = 1024.0
@@ -148,8 +150,7 @@ def _uncovered(
         return np.empty(0, np.int64), np.empty((0, 2))
     within = COVERED_WITHIN * target.cells_per_mask_pixel
     # Most pixels are covered by a point on them or next to them, which is quickly seen.
-    neighbours = np.argwhere(np.ones((3, 3))) - 1
-    around = np.rint(points_px) + neighbours[:, None]
+    around = np.rint(points_px) + NEIGHBOURS[:, None]
     right, down = np.moveaxis(around - points_px, -1, 0)
     covering = around[valid & (right * right + down * down <= within**2)]
     pixel, in_image = pixels_under(covering, np.ones(len(covering), bool), *target.inside.shape)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ..cloud.cloud import ControlledCloud
 from ..errors import InputError
@@ -64,10 +64,6 @@ class Problem:
     def resampled(self) -> list[ResampledView]:
         """The views that were given, then the flipped ones."""
         return [windowed.resampled for windowed in (*self.given, *self.flipped)]
-
-    def without_flipped(self) -> Problem:
-        """The same without the flipped views."""
-        return replace(self, flipped=())
 
     def targets(self, weights: Sequence[float]) -> ViewTargets:
         """Of all views; ``weights`` are of the given views, and count for the flipped ones too."""

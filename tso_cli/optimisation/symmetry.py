@@ -70,8 +70,10 @@ def find_mirror_plane(points: Array) -> FittedPlane:
     """
     points = scattered(as_points(points), CANDIDATES)
     fitted = _best_plane(points)
+    if fitted.symmetric:
+        return fitted
     sparse = find_sparse(points)
-    if fitted.symmetric or not sparse.any():
+    if not sparse.any():
         return fitted
     without = _best_plane(points[~sparse])
     return without if without.symmetric else fitted

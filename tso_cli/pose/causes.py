@@ -61,7 +61,7 @@ EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING = 0.25, 0.5
 # growth is one number, and coarse masks hide much else. Of 188 clouds of another shape before right
 # masks it leaves none less; of exact clouds before masks grown by a pixel or two, two in three.
 LEFT_BY_OUTLINE = 0.7
-ENOUGH: dict[Name, tuple[float, float]] = {
+MOST_LEFT: dict[Name, tuple[float, float]] = {
     "shift": (EXPLAINED, LEFT),
     "pose": (EXPLAINED, LEFT),
     "focal-length": (EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING),
@@ -195,7 +195,7 @@ def _is_simpler(cause: Cause, stretch: Cause) -> bool:
 
 def _explains(cause: Cause, given: float) -> bool:
     """Whether nearly nothing is left of what the cloud misses as ``given``."""
-    most, left = ENOUGH[cause.name]
+    most, left = MOST_LEFT[cause.name]
     likely = np.abs(cause.change / DEVIATIONS).max() <= MOST_DEVIATIONS
     return cause.missed < min(most, left * given) and bool(likely) and not cause.is_small
 

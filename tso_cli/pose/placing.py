@@ -50,9 +50,9 @@ def missed_by(body: Body, views: Sequence[View], *others: Array) -> list[float]:
 
     And with ``others`` [N, 3] in place of its points.
     """
-    problem, at = Placing(body, tuple(views)), Placements.unmoved()
-    clouds = (problem.points, *map(body.normalise, others))
-    return [float(problem.comparison.of_cloud(points).missed(at)[0]) for points in clouds]
+    comparison = Placing(body, tuple(views)).comparison
+    clouds = comparison, *(comparison.of_cloud(body.normalise(points)) for points in others)
+    return [float(cloud.missed(Placements.unmoved())[0]) for cloud in clouds]
 
 
 def missed_of_depth(body: Body, views: Sequence[View]) -> float:

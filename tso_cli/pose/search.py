@@ -134,6 +134,10 @@ class Comparison:
         factor = self.surfaces[0].farther(self.points, placements)
         return placements.scaled_about(self.surfaces[0].target.camera.position, factor)
 
+    def by_cells(self, placements: Placements, freedom: Freedom) -> Placements:
+        """The placements as all cells of the masks draw them."""
+        return improve(placements, self.cells, freedom, STEPS)[0]
+
     def missed(self, placements: Placements) -> Array:
         """[P] the share of the contours that a cloud of infinitely many points would miss."""
         return self.contour(self.outline).missed(placements)
@@ -168,16 +172,22 @@ class Found:
 
 
 def search_from(comparison: Comparison, freedom: Freedom, start: Placements | None = None) -> Found:
-    """The placement near ``start`` that the posterior likes best.
+    """The placement near ``start`` of the best posterior.
 
     ``start`` is the given one by default, which the prior and `Found.given` are of in any case.
     """
     start = freedom.given if start is None else start
+    return _best_near(comparison, freedom, start, comparison.by_cells(start, freedom))
+
+
+def _best_near(
+    comparison: Comparison, freedom: Freedom, start: Placements, by_cells: Placements
+) -> Found:
+    """As `search_from`; ``by_cells`` : the start as the cells draw it."""
     step = np.zeros((1 + Nearby.TURNS, UNKNOWNS))
     step[1:, TURN] = np.radians(Nearby.DEGREES) * lattice(Nearby.TURNS)
     turned = start[np.zeros(len(step), np.int64)].stepped(step)
     from_afar, values = improve(turned, comparison.exact(FROM_AFAR), freedom, STEPS)
-    by_cells, _ = improve(start, comparison.cells, freedom, STEPS)
     starts = [start, from_afar[np.argsort(values)[: Nearby.KEPT]], by_cells]
     if comparison.surfaces:
         starts.append(comparison.at_depth(by_cells, freedom))
@@ -194,7 +204,8 @@ def place_from(comparison: Comparison, freedom: Freedom) -> Found:
     place a cloud of the right shape exactly, and one of a wrong shape anywhere. So a cloud that
     does not fit in the end stands where all cells of the masks would have it.
     """
-    found = search_from(comparison, freedom)
+    by_cells = comparison.by_cells(freedom.given, freedom)
+    found = _best_near(comparison, freedom, freedom.given, by_cells)
     if found.given < TELLS_PLACE:
         posterior = freedom.posterior(comparison.exact(comparison.outline))
         gain = posterior(freedom.given).value - posterior(found.placement).value
@@ -202,5 +213,4 @@ def place_from(comparison: Comparison, freedom: Freedom) -> Found:
             return Found(freedom.given, found.given, found.given)
     if found.fits:
         return found
-    by_cells, _ = improve(freedom.given, comparison.cells, freedom, STEPS)
     return replace(found, placement=by_cells, missed=float(comparison.missed(by_cells)[0]))
