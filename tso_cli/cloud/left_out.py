@@ -1,8 +1,8 @@
 """Points that most masks leave out: the ground that an object stands on, floaters, other objects.
 
 A cloud of another shape or in another place is outside of its masks too. So points are no part of
-the object only where the others fit the masks as a right cloud does, or where they are a plane that
-reaches beyond the object, with all that is below it.
+the object only where the others fit the masks as a right cloud does, and all of them do not in other
+proportions; or where they are a plane that reaches beyond the object, with all that is below it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from ..evaluation.footprint import window_iou
 from ..geometry.arrays import Array, Bits
 from ..geometry.points import bounding_box_normalisation, longest_side, quantile, scattered
 from ..geometry.view import View
+from ..pose.causes import SIMILAR, missed_if_stretched
 from ..pose.move import FITS, FITS_NEARLY, Body
 from ..pose.placing import MOST_VIEWS, missed_by
 from ..pose.search import SIDE, some_views
@@ -112,12 +113,14 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
         else:
             with_base = replace(ground, base=True)
             rest = points[~(with_base.holds(points) | left)]
-            if _missed(rest, some) < min(FITS_NEARLY, _missed(above, some)):
+            if _missed(rest, some) < min(FITS_NEARLY, _missed(above, some) + SIMILAR):
                 ground = with_base
     rest = points[~(left if ground is None else left | ground.holds(points))]
     far = 2 * _left_out(points, targets, FAR).sum() >= left.sum()
-    if far and longest_side(rest) > 0.0 and _missed(rest, some) < FITS:
-        return LeftOut(targets, ground)
+    if far and longest_side(rest) > 0.0 and (missed := _missed(rest, some)) < FITS:
+        # A longer object is outside of the masks too.
+        if missed < missed_if_stretched(_body(points), some) - SIMILAR:
+            return LeftOut(targets, ground)
     return None if ground is None else LeftOut((), ground)
 
 
@@ -140,7 +143,11 @@ def _left_out(points: Array, targets: Sequence[Target], least: float = APART) ->
 
 
 def _missed(points: Array, views: Sequence[View]) -> float:
-    return missed_by(Body(points, *bounding_box_normalisation(points)), views)[0]
+    return missed_by(_body(points), views)[0]
+
+
+def _body(points: Array) -> Body:
+    return Body(points, *bounding_box_normalisation(points))
 
 
 def _overlap(points: Array, views: Sequence[View]) -> float:

@@ -11,13 +11,15 @@ from ..geometry.view import View
 from ..pose.causes import Cause
 from ..pose.move import Body
 from ..pose.placement import ASPECT, FOCAL, GROWTH, PRINCIPAL, SHIFT, TURN
-from ..pose.placing import missed_of_depth
+from .depth_map import SeenSurface
 from .findings import Finding
 from .foreign_parts import Parts
 
-# A cloud fits a depth map if it misses less than this share of it, by the width of a cell. Exact
-# validation clouds miss up to 0.30 of right maps.
-DEPTH_FITS = 0.35
+# The surface that depth maps and a cloud both show is apart by more than this, in longest sides (the
+# median), if one of them is wrong. Of exact clouds 95 of 100 are nearer to right maps. Of clouds of
+# another shape the distance alone is compared: 96 of 100 are nearer to right maps than the second
+# number, and all are farther from maps whose depths are wrong by a twentieth.
+DEPTH_OFF, DEPTH_APART = 0.05, 0.1
 
 
 def findings_of_causes(causes: Sequence[Cause], views: Sequence[View]) -> tuple[Finding, ...]:
@@ -26,19 +28,31 @@ def findings_of_causes(causes: Sequence[Cause], views: Sequence[View]) -> tuple[
     return tuple(Finding(cause.name, every, values=_values(cause, views)) for cause in causes)
 
 
-def depth_that_contradicts(body: Body, views: Sequence[View]) -> tuple[Finding, ...]:
-    """The finding that depth maps do not fit a cloud that fits its masks, or nothing."""
+def depth_that_contradicts(body: Body, views: Sequence[View], fits: bool) -> tuple[Finding, ...]:
+    """The finding that depth maps contradict a cloud, or nothing; ``fits`` : whether masks do not.
+
+    The maps are along z, or known up to two numbers. Of a cloud that does not fit its masks the
+    shape is wrong too, so that only its distance is compared.
+    """
     with_depth = [
         number
         for number, view in enumerate(views)
         if view.depth is not None and view.depth_kind not in FITTED
     ]
-    if not with_depth:
+    surfaces = [SeenSurface.of(body.points, views[number]) for number in with_depth]
+    shared = [surface for surface in surfaces if len(surface.depth)]
+    if not shared:
         return ()
-    missed = missed_of_depth(body, [views[number] for number in with_depth])
-    if missed < DEPTH_FITS:
+    apart = float(np.median([surface.apart for surface in shared]))
+    if abs(apart) > DEPTH_APART:
+        times = float(np.median([surface.times for surface in shared]))
+        how, other = ("far", "near") if apart > 0.0 else ("near", "far")
+        values = {"share": 100.0 * abs(apart), "how": how, "other": other, "times": times}
+        return (Finding("depth-apart", tuple(with_depth), values=values),)
+    off = float(np.median([surface.off(surface.values)[0] for surface in shared]))
+    if not fits or off < DEPTH_OFF:
         return ()
-    return (Finding("depth-contradicts", tuple(with_depth), values={"missed": 100.0 * missed}),)
+    return (Finding("depth-contradicts", tuple(with_depth), values={"off": 100.0 * off}),)
 
 
 def findings_of_parts(parts: Mapping[int, Parts]) -> tuple[Finding, ...]:

@@ -88,6 +88,11 @@ class SeenSurface:
         return float(np.median(self.values / self.depth))
 
     @property
+    def apart(self) -> float:
+        """How much farther than the cloud the map is, in longest sides of the cloud."""
+        return float(np.median(self.values - self.depth)) / self.size
+
+    @property
     def relief(self) -> float:
         """Of the map, brought to the cloud's unit, relative to that of the cloud."""
         return _spread(self.values) / _spread(self.depth) / self.times

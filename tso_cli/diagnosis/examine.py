@@ -119,11 +119,10 @@ def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Mov
     if move.causes:
         return replace(diagnosis, of_input=findings_of_causes(move.causes, views))
     fits = move.fits and all(view.image is None for view in views)
-    if fits:
-        contradicted = depth_that_contradicts(body, views)
-        return replace(diagnosis, fits=True, of_input=contradicted)
-    if np.isnan(move.missed):
-        return diagnosis
+    if contradicted := depth_that_contradicts(body, views, fits):
+        return replace(diagnosis, of_input=contradicted)
+    if fits or np.isnan(move.missed):
+        return replace(diagnosis, fits=fits)
     parts = parts_that_explain(body, views, move)
     if not parts:
         return diagnosis

@@ -42,8 +42,10 @@ BELOW_OTHERS = 0.15
 # A hypothesis that turns the cloud may explain the views less well, by this IoU, than a cloud of
 # other proportions does, and no worse: a stretched can looks like a can whose axes are exchanged.
 BELOW_STRETCHED = 0.04
-# A width that K may be of differs from the width of the picture by this share.
-OTHER_WIDTH = 0.05
+# An image that K may be of is larger or smaller than the picture by these factors, with the same
+# proportions to a share, and with others: a picture that was cropped is less off, or in one
+# direction only.
+RESIZED, SAME_PROPORTIONS, SQUASHED = 1.2, 0.05, 1.5
 # Widths that are tried: those of the most views.
 MOST_WIDTHS = 3
 # Candidates that are verified, likeliest first.
@@ -168,10 +170,13 @@ def _widths(cameras: Sequence[Camera]) -> list[tuple[int, ...]]:
     for camera in cameras:
         size = np.array([camera.width, camera.height])
         of_K = 2.0 * camera.K[:2, 2] + 1.0
-        if (of_K < 2.0).any() or (np.abs(of_K / size - 1.0) < OTHER_WIDTH).all():
+        if (of_K < 2.0).any():
+            continue
+        across, down = of_K / size
+        kept = abs(across / down - 1.0) < SAME_PROPORTIONS
+        if max(across, down, 1.0 / across, 1.0 / down) < (RESIZED if kept else SQUASHED):
             continue
         width, height = (int(length) for length in np.rint(of_K))
-        kept = abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1.0) < OTHER_WIDTH
         found[(width,) if kept else (width, height)] += 1
     # A width of 0 has no name, and neither has one of seven digits.
     named = [size for size, _ in found.most_common() if hypothesis_called(of_width(*size).name)]

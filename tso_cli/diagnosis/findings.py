@@ -18,8 +18,10 @@ SUSPICIOUS_SYMPTOMS = {
     "principal-point": "the principal point is {x:+.0f}, {y:+.0f} px off, as K of a picture that "
     "was cropped",
     "outline": "the masks are {pixels:.1f} px too {how} on all sides",
+    "depth-apart": "the depth maps are {share:.0f} % of the object's size too {how}, or the cloud "
+    "is as much too {other}",
     "depth-contradicts": "the depth maps are wrong, or the cloud is wrong in depth: it fits the "
-    "masks, and misses {missed:.0f} % of the maps",
+    "masks, and is {off:.0f} % of its size off the maps",
     "pose": "the cloud is turned by {degrees:.0f} degrees and shifted by {share:.0f} % of its size",
     "shift": "the cloud is shifted by {share:.0f} % of its size",
 }

@@ -155,12 +155,12 @@ RULES = (
         _never,
         lambda facts: facts.notes(ASSUMED_CAMERA)[0],
     ),
-    # The start stays. Only of one that fits is that sure to be right.
+    # The start stays. Only one that explains its masks whole is sure to be right.
     Rule(
         lambda facts: facts.stays and facts.diagnosis.fits,
         "left",
         _never,
-        confidence=lambda facts: 1.0,
+        confidence=lambda facts: None if facts.diagnosis.hidden else 1.0,
     ),
     Rule(
         lambda facts: facts.stays,

@@ -19,6 +19,11 @@ OUTLINE_ERROR = 0.5
 # That of a mask that shows an object with so few pixels along its longer side, or fewer: its pixels
 # come from another grid, and are on or off by a rule of their own. With more it falls as 1 / side.
 COARSE_ERROR, COARSE_SIDE = 0.75, 24.0
+# A mask whose outline is less exact than this share of the object's longer side shows no shape.
+LARGEST_ERROR = 0.125
+# An outline with so many steps or more along both axes shows by the shortest of them whether a
+# smaller mask was enlarged.
+FEWEST_STEPS = 8
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15
 
@@ -100,6 +105,19 @@ class View:
             object.__setattr__(self, "known", known)
             counted = mask[known]
         self._require_both_sides(counted)
+        self._require_small_error()
+
+    def _require_small_error(self) -> None:
+        """InputError if the mask says nothing of the object, by the error that was given."""
+        if self.mask_error is None:
+            return
+        left, top, right, bottom = self.pixels_of_object
+        longer = max(right - left, bottom - top)
+        if self.mask_error > LARGEST_ERROR * longer:
+            raise InputError(
+                f"{self.name}: the error of the mask is {self.mask_error:g} px, and the object is "
+                f"{longer} px long, expected at most {LARGEST_ERROR * longer:g} px, an eighth"
+            )
 
     def _require_both_sides(self, counted: Floats) -> None:
         """InputError unless some of the ``counted`` pixels are foreground, and some are not."""
@@ -181,23 +199,26 @@ class View:
     def outline_error(self) -> float:
         """How exactly the mask shows where its outline is, a standard deviation in pixels.
 
-        A blurred mask is less exact than its pixels, and a coarse mask too. The steepest quarter of
-        the outline shows the blur, since a pixel that the outline crosses makes a sharp mask less
-        steep too.
+        A blurred mask is less exact than its pixels, and a coarse mask too. So is a small mask that
+        was enlarged: its pixels are squares. The steepest quarter of the outline shows the blur,
+        since a pixel that the outline crosses makes a sharp mask less steep too.
         """
         if self.mask_error is not None:
             return self.mask_error
-        steps = []
+        steps, gaps = [], []
         left, top, right, bottom = self.pixels_of_object
         part = self.mask[max(top - 1, 0) : bottom + 1, max(left - 1, 0) : right + 1]
         for values in (part, part.T):
             across = (values[1:] > 0.5) != (values[:-1] > 0.5)
             steps.append(np.abs(values[1:][across] - values[:-1][across]))
+            crossed = np.diff(np.flatnonzero(across.any(1)))
+            gaps.append(int(crossed.min()) if len(crossed) >= FEWEST_STEPS else 1)
         steepest = np.quantile(np.concatenate([*steps, [1.0]]), 0.75)
         # The slope of a step after a Gaussian blur.
         of_blur = float(1.0 / (np.sqrt(2.0 * np.pi) * steepest))
-        of_grid = COARSE_ERROR * min(1.0, COARSE_SIDE / max(right - left, bottom - top))
-        return max(OUTLINE_ERROR, of_blur, of_grid)
+        pixel = min(gaps)
+        of_grid = COARSE_ERROR * min(1.0, COARSE_SIDE * pixel / max(right - left, bottom - top))
+        return max(OUTLINE_ERROR * pixel, of_blur, of_grid * pixel)
 
     @property
     def truncated(self) -> bool:

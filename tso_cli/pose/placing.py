@@ -55,12 +55,6 @@ def missed_by(body: Body, views: Sequence[View], *others: Array) -> list[float]:
     return [float(cloud.missed(Placements.unmoved())[0]) for cloud in clouds]
 
 
-def missed_of_depth(body: Body, views: Sequence[View]) -> float:
-    """The share of depth maps that a cloud misses where it is; 0 without depth maps."""
-    depth = Placing(body, tuple(views)).comparison.depth()
-    return 0.0 if depth is None else float(depth(Placements.unmoved()).value[0])
-
-
 def missed_in_parts(
     body: Body, views: Sequence[View], parts: Sequence[Part | None]
 ) -> tuple[float, float]:
