@@ -119,7 +119,7 @@ def test_the_command_fits_refines_and_writes_a_camera_that_reads_back(refine, fo
     )
     assert "tso: camera: fitted, IoU 0." in run.err
     assert "next best" in run.err
-    assert "used   camera fitted to cloud and mask (sure); " in run.out
+    assert "used   camera fitted to cloud and mask: pose sure; focal length " in run.out
     assert f"{written}: camera" in run.out
     assert angle_between(read_camera(written, 256, 256, "mask.png").R, chair.camera.R) < 8.0
     assert refine("target.ply", "mask.png", "--camera", written, "--check").code == 0

@@ -108,7 +108,7 @@ def fitted():
 
 def test_a_sure_camera_is_no_finding(fitted):
     assert fitted.given.known == ()
-    assert fitted.camera_summary == "camera fitted to cloud and mask (sure)"
+    assert fitted.camera_summary.startswith("camera fitted to cloud and mask: pose sure; focal ")
 
 
 def test_an_unsure_camera_is_a_finding_with_its_reason(folder):
@@ -118,7 +118,7 @@ def test_an_unsure_camera_is_a_finding_with_its_reason(folder):
     assert finding.name == "unsure-camera"
     assert finding.views == (0,)
     assert finding.says.startswith("the fitted camera is unsure: ")
-    assert scene.camera_summary == "camera fitted to cloud and mask (unsure)"
+    assert scene.camera_summary.startswith("camera fitted to cloud and mask: pose unsure; focal ")
 
 
 def test_a_camera_is_fitted_to_the_mask_as_it_is_meant(fitted, tmp_path):

@@ -113,7 +113,7 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
         else:
             with_base = replace(ground, base=True)
             rest = points[~(with_base.holds(points) | left)]
-            if _missed(rest, some) < min(FITS_NEARLY, _missed(above, some) + SIMILAR):
+            if _missed(rest, some) < min(FITS_NEARLY, _missed(above, some)):
                 ground = with_base
     rest = points[~(left if ground is None else left | ground.holds(points))]
     far = 2 * _left_out(points, targets, FAR).sum() >= left.sum()

@@ -20,7 +20,7 @@ from ..scene.load import Scene
 from ..version import __version__
 from . import options
 from .sentences import Words
-from .sentences_of_moves import move_document, words_of_move
+from .sentences_of_moves import move_document, reading_of, words_of_move
 
 
 def check_scene(
@@ -39,6 +39,8 @@ def check_scene(
         apart, diagnosis, cloud = words.no_overlap(error), error.diagnosis, error.cloud
     for text in words.notes(diagnosis.notes):
         warnings.warn(text, stacklevel=1)
+    if move and (reading := reading_of(move, settings.move, cloud.body.points)):
+        warnings.warn(reading, stacklevel=1)
     suspicion = words.suspicion(diagnosis.suspicious)
     if suspicion and not apart:
         warnings.warn(suspicion, stacklevel=1)

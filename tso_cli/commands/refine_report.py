@@ -39,7 +39,7 @@ CONVENTION = {
     "chamfer_to_initial": "squared distances of control points, mean over points, both directions "
     "summed, longest side 1",
     "iou": IOU_MEANS,
-    "trust": "weight of a view in the loss: 1, or less where the other views contradict it",
+    "inlier_weight": "weight of a view in the loss: 1, or less where the other views contradict it",
     "moving": "number of control points, which move by themselves: samples of a mesh's faces, or "
     "some points of a large cloud; all others follow them",
     "outliers": "points far from the rest, or that masks leave out, which stay where they are",
@@ -157,7 +157,7 @@ class RefineReport:
                 "camera": camera_document(view.camera, source),
                 "iou_before": fitted.iou_before,
                 "iou_after": fitted.iou_after,
-                "trust": fitted.inlier_weight,
+                "inlier_weight": fitted.inlier_weight,
                 "window": fitted.window,
                 "cells": fitted.cells,
             }
@@ -298,9 +298,10 @@ class RefineReport:
         prior, fit = self.result.settings.prior, self.result.fit
         if prior == NO_PRIOR or not fit.steps:
             return None
-        # Where the result is the start, what the prior asked for has been undone.
-        share = fit.moved_by_prior if fit.outcome == "moved" else 0.0
         name = "learned prior" if prior == LEARNED else f"prior {prior}"
+        if fit.outcome != "moved":
+            return f"{name} (not taken)"
+        share = fit.moved_by_prior
         return f"{name} (moved {f'{100.0 * share:.1f} %' if share else 'nothing'})"
 
     def _symmetry(self) -> str | None:

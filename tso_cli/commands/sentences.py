@@ -14,7 +14,7 @@ from ..diagnosis.trust import FINDING
 from ..errors import InputError
 from ..refinement import RefineResult
 from ..refinement.result import Fit
-from .sentences_of_moves import reading_of
+from .sentences_of_moves import reading_of, start_of
 
 # A largest displacement under this share of the object's size is worth a warning.
 SMALL_DISPLACEMENT = 1e-3
@@ -24,34 +24,44 @@ LOOK = (
     "look at the numbers with --check, or let the masks place the cloud with --move pose or "
     "similarity"
 )
-# What mends a symptom of a single view.
+# What mends a symptom, for each way to read it.
 OPTIONS = {
     "box": "a mask of its outline",
-    "focal-length": "--camera fit, or --move similarity",
-    "aspect": "K of the picture that the mask is of",
-    "principal-point": "K of the picture that the mask is of, or --move pose",
-    "outline": "a mask whose outline is that of the object",
-    "depth-contradicts": "--depth-kind affine, or --accept-doubtful",
-    "pose": "--move pose",
-    "shift": "--move pose",
+    "focal-length": "{focal} if the camera was guessed, or --move similarity if the size of the "
+    "cloud was",
+    "aspect": "the K of this picture, whose fx and fy may differ",
+    "principal-point": "the K of this picture, or --move pose if the cloud is out of place instead",
+    "outline": "--mask-error {pixels:.1f} if the mask is wrong, or --accept-doubtful if the cloud "
+    "is",
+    "depth-apart": "--depth-scale {scale:.3g} if the maps are wrong, or --move pose if the cloud "
+    "is",
+    "depth-contradicts": "it without --depth if the maps are wrong, or with --accept-doubtful if "
+    "the cloud is",
+    "pose": "--move pose if the camera is right",
+    "shift": "--move pose if the camera is right",
 }
+# What may be tried where a focal length looks wrong: `--camera fit` reads a single mask.
+OTHER_FOCAL = "--camera fit", "another focal length in the camera file"
 # What a verdict means; "" where there is none.
 VERDICTS = {
     "fits better": "The cloud moved and agrees better with the masks. Probably that does not harm: "
     "its Chamfer distance to the true shape grows by at most 5 %. It need not be nearer.",
-    "left": "Nothing that was tried agrees better with the masks, so the cloud is as it was.",
-    "doubtful": "The displacement may harm: the Chamfer distance to the true shape may grow by "
-    "more than 5 %.",
+    "left": "The cloud fits its masks, or nothing that was tried agrees better with them, so the "
+    "cloud is as it was.",
+    "doubtful": "The input looks wrong, or the displacement may harm: the Chamfer distance to the "
+    "true shape may grow by more than 5 %.",
     "": "There is no confidence in this run. A rising IoU proves nothing.",
 }
 # Options that mend what a note says.
 OPTIONS_OF_NOTES = {
-    "missing-part": " (--ignore FILE, to say what is hidden)",
+    "missing-part": " (--ignore FILE says what is hidden)",
     "depth-inverse": ": try --depth-kind inverse",
     "depth-affine": ": try --depth-kind affine",
     "depth-ray": ": try --depth-kind ray",
     "depth-unrelated": " (--depth-kind z uses it all the same)",
-    "left-out": " (--crop writes the object alone)",
+    "left-out": " (--crop writes the cloud without them; --ignore FILE says what is hidden)",
+    "unsure-camera": " (give --fov or --focal, or a cloud of the right shape, and look at "
+    "--overlay)",
     ASSUMED_CAMERA: " (--camera FILE, or --camera fit)",
     "assumed-picture": " (--camera FILE)",
     "unsure-place": " (`alternatives` in --json has the other places)",
@@ -98,11 +108,11 @@ class Words:
 
     def _parts(self, finding: Finding) -> tuple[str, str]:
         name = self.names[finding.views[0]] if finding.views else ""
+        alone = len(finding.views) < len(self.names)
         if finding.name in OPTIONS:
-            return f"{finding.says} in {name}", OPTIONS[finding.name]
+            return finding.says + (f" in {name}" if alone else ""), self._option_for(finding)
         if finding.name == "mispaired":
             return self._pairs(finding)
-        alone = len(finding.views) < len(self.names)
         if finding.without:
             given = self._option(finding.without)
             what, option = f"{given} is wrong", f"without {given}"
@@ -113,6 +123,12 @@ class Words:
             options = (f"--assume {hypothesis.name}{at}" for hypothesis in finding.hypotheses)
             what, option = finding.says, " ".join(options)
         return f"for {name} alone {what}" if alone else what, option
+
+    def _option_for(self, symptom: Finding) -> str:
+        values = dict(symptom.values)
+        if "times" in values:
+            values["scale"] = self.depth_scale / float(values["times"])
+        return OPTIONS[symptom.name].format(focal=OTHER_FOCAL[len(self.names) > 1], **values)
 
     def _option(self, assumption: Assumption) -> str:
         by_option = self.inverted and assumption == INVERTED
@@ -178,7 +194,8 @@ class Words:
     def warnings(self, result: RefineResult) -> list[str]:
         """One sentence each, to read before the result is used."""
         fit, trust, reason = result.fit, result.trust, self.reason(result)
-        messages = [text for text in (reading_of(result), _of_course(result)) if text]
+        reading = reading_of(result.move, result.settings.move, start_of(result))
+        messages = [text for text in (reading, _of_course(result)) if text]
         if trust.verdict == "doubtful":
             sure = ""
             if trust.confidence is not None:

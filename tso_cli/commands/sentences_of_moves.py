@@ -72,13 +72,12 @@ def words_of_search(move: Move) -> str:
     return f"yes: {missed}, {left}{'' if move.explains else ': it does not explain the misfit'}"
 
 
-def reading_of(result: RefineResult) -> str | None:
-    """Both readings of a move that the user did not ask for."""
-    move = result.move
-    if result.settings.move != "auto" or move.kind == "nothing":
+def reading_of(move: Move, asked: str, start: Array) -> str | None:
+    """The readings of a move of the cloud ``start`` [N, 3] that was not ``asked`` for."""
+    if asked != "auto" or move.kind == "nothing":
         return None
-    how = words_of_move(move, start_of(result)).removeprefix("as one: ")
+    how = words_of_move(move, start).removeprefix("as one: ")
     return (
-        f"the cloud was {how}, which explains why it did not fit; if the camera is wrong instead, "
-        "use --move camera, and if neither is wrong, --move shape"
+        f"the cloud was {how}, which explains why it did not fit: use --move pose if the camera is "
+        "right, --move camera if the cloud is, and --move shape if both are"
     )

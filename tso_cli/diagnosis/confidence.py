@@ -28,7 +28,7 @@ REASONS = {
     "motion": "the points moved far, or without their neighbours",
     "prior": "the learned prior is unsure of this object",
     "start": "the cloud fitted its masks before, so there was little to gain",
-    "misfit": "the cloud does not fit the mask afterwards",
+    "misfit": "the cloud would not fit the masks afterwards either",
 }
 # Added to a value, or to a share of contours, before its logarithm is taken.
 SMALLEST, LEAST_MISSED = 1e-3, 1e-2

@@ -17,7 +17,7 @@ SUSPICIOUS_SYMPTOMS = {
     "aspect": "fy is {percent:.0f} % too {how} for fx, as K of a picture that was squashed",
     "principal-point": "the principal point is {x:+.0f}, {y:+.0f} px off, as K of a picture that "
     "was cropped",
-    "outline": "the masks are {pixels:.1f} px too {how} on all sides",
+    "outline": "the mask is {pixels:.1f} px too {how} on all sides",
     "depth-apart": "the depth maps are {share:.0f} % of the object's size too {how}, or the cloud "
     "is as much too {other}",
     "depth-contradicts": "the depth maps are wrong, or the cloud is wrong in depth: it fits the "
@@ -65,8 +65,8 @@ NOTES = {
     "file is taken for a picture of the canonical camera",
     "outliers": "points far from the rest stay where they are, and no measure counts them "
     "(found {count:,})",
-    "left-out": "{count:,} points ({share:.0f} %) are not the object, since masks leave them out: "
-    "they stay where they are, and no measure counts them",
+    "left-out": "{count:,} points ({share:.0f} %) lie outside the masks, which the others fit: they "
+    "are not the object, or something hides them; they stay, and no measure counts them",
     "faint": "{count:,} splats have an opacity under 5 %: they move along, and nothing depends on "
     "them",
     "not-a-mesh": "{why}, so the vertices are taken for a cloud",

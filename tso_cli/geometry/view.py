@@ -20,7 +20,7 @@ OUTLINE_ERROR = 0.5
 # come from another grid, and are on or off by a rule of their own. With more it falls as 1 / side.
 COARSE_ERROR, COARSE_SIDE = 0.75, 24.0
 # A mask whose outline is less exact than this share of the object's longer side shows no shape.
-LARGEST_ERROR = 0.125
+LARGEST_ERROR = 0.25
 # An outline with so many steps or more along both axes shows by the shortest of them whether a
 # smaller mask was enlarged.
 FEWEST_STEPS = 8
@@ -116,7 +116,7 @@ class View:
         if self.mask_error > LARGEST_ERROR * longer:
             raise InputError(
                 f"{self.name}: the error of the mask is {self.mask_error:g} px, and the object is "
-                f"{longer} px long, expected at most {LARGEST_ERROR * longer:g} px, an eighth"
+                f"{longer} px long, expected at most {LARGEST_ERROR * longer:g} px, a quarter"
             )
 
     def _require_both_sides(self, counted: Floats) -> None:

@@ -85,13 +85,18 @@ class FittedCamera:
         if self.alternatives:
             best = self.alternatives[0]
             other = f"next best {best.iou:.2f} at {best.degrees:.0f} degrees"
-        low, high = self.focal_range
-        fit_as_well = f" ({low:.4g} to {high:.4g} fit as well)" if high > 1.1 * low else ""
         return (
             f"fitted, IoU {self.iou:.2f}, azimuth {azimuth:.0f}, elevation {elevation:.0f} (y up); "
             f"{other}: {'sure' if self.sure else 'unsure'}; "
-            f"focal length {self.camera.K[0, 0]:.4g} px{fit_as_well}"
+            f"{self.focal_length}"
         )
+
+    @property
+    def focal_length(self) -> str:
+        """In words, with the range that fits as well."""
+        low, high = self.focal_range
+        fit_as_well = f" ({low:.4g} to {high:.4g} fit as well)" if high > 1.1 * low else ""
+        return f"focal length {self.camera.K[0, 0]:.4g} px{fit_as_well}"
 
     @property
     def sure(self) -> bool:

@@ -156,7 +156,8 @@ def _with_fitted_camera(
         () if fitted.sure else (Finding("unsure-camera", (0,), values={"why": fitted.why_unsure}),)
     )
     by = f", with {focal.source}" if focal.source else ""
-    sure = "sure" if fitted.sure else "unsure"
-    summary = f"camera fitted to cloud and mask{by} ({sure})"
+    how_sure = "pose sure" if fitted.sure else "pose unsure"
+    focal_length = "" if focal.deviation == 0.0 else f"; {fitted.focal_length}"
+    summary = f"camera fitted to cloud and mask{by}: {how_sure}{focal_length}"
     scene = RefineScene(cloud, (read,), of_mask, known)
     return Scene(scene, (fitted.describe(),), summary, "input", file, fitted=fitted)

@@ -303,7 +303,7 @@ def _card(view: dict[str, Any], picture: dict[str, Any], several: bool) -> str:
     number, name = picture["number"] + 1, text(Path(view["mask"]).name)
     width, height = picture["width"], picture["height"]
     iou = f"IoU {view['iou_before']:.3f} -> {view['iou_after']:.3f}"
-    iou += f", weight {view['trust']:.2f}" if several else ""
+    iou += f", weight {view['inlier_weight']:.2f}" if several else ""
     what = "Photo" if picture["photo"] else "Mask"
     paths = "".join(
         f'<path class="halo line-{key}" d="{path}"/><path class="line line-{key}" '
@@ -353,13 +353,13 @@ def _table(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
 
 def _details(document: dict[str, Any], words: PageWords) -> str:
     views = _table(
-        ("view", "IoU before", "IoU after", "trust", "camera"),
+        ("view", "IoU before", "IoU after", "inlier weight", "camera"),
         (
             (
                 view["mask"],
                 f"{view['iou_before']:.3f}",
                 f"{view['iou_after']:.3f}",
-                f"{view['trust']:.2f}",
+                f"{view['inlier_weight']:.2f}",
                 view["camera"]["source"],
             )
             for view in document["views"]
@@ -368,8 +368,8 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
     suspects = document["suspects"]
     suspicious = ""
     if suspects:
-        rows = ((s["what"], s["option"], f"{s['score']:.3f}") for s in suspects)
-        table = _table(("what may be wrong", "what to try", "IoU then (0: unknown)"), rows)
+        rows = ((s["what"], s["option"], f"{s['score']:.3f}" if s["score"] else "-") for s in suspects)
+        table = _table(("what may be wrong", "what to try", "IoU then"), rows)
         suspicious = f"<h3>Findings</h3>{table}"
     settings = _table(
         ("setting", "value"),
