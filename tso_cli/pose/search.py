@@ -27,9 +27,8 @@ COARSE_POINTS, FINE_POINTS = 512, 4096
 STEPS = 8
 # Scales of gaps, in cells, from which contours draw a cloud: from afar, then nearer and nearer.
 FROM_AFAR, NEARER, EXACT = 4.0, 1.5, 0.6
-# How exactly a sparse cloud shows its edge, in cells: this times the cells of the object a point. Of
-# exact clouds with 700 points 90 of 100 then fit their masks, without it 50, and as many of other
-# shapes.
+# How exactly a sparse cloud shows its edge, in cells, up to `NEARER`: this times the cells of the
+# object a point. Of exact clouds with 700 points 90 of 100 then fit their masks, and 50 without it.
 OF_SPARSE = 0.7
 # The least scale of distances to a depth map, in cells. Depth maps are less exact than masks.
 LEAST_OF_DEPTH = 1.0
@@ -83,8 +82,9 @@ class Comparison:
     @cached_property
     def outline(self) -> float:
         """How exactly masks and cloud show where their contours are, in cells."""
-        of_cloud = [OF_SPARSE * len(target.cells) / len(self.points) for target in self.targets]
-        return max(EXACT, *(target.error for target in self.targets), *of_cloud)
+        cells = max(len(target.cells) for target in self.targets)
+        of_cloud = min(OF_SPARSE * cells / len(self.points), NEARER)
+        return max(EXACT, of_cloud, *(target.error for target in self.targets))
 
     @classmethod
     def of(
