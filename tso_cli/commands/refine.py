@@ -93,8 +93,8 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--steps",
     type=options.Whole(0),
-    help="Optimiser steps; 0 leaves the shape.  [default: 20 for each mask, up to four masks; "
-    "encoder modes 12, latent 30; paper 50]",
+    help="Optimiser steps; 0 leaves the shape.  [default: 2 for one mask; 20 for several "
+    "masks, a depth map or a photo, and with --prior none; encoder modes 12, latent 30; paper 50]",
 )
 @click.option(
     "--learning-rate",
@@ -127,7 +127,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     type=click.Choice(KEEPS),
     default="auto",
     help="What stays where one camera cannot tell size from distance. `auto`: the size for a pose, "
-    "the distance for a similarity.",
+    "the distance for a similarity and for --move auto.",
 )
 @options.flag("--only", "Only move as one, and leave the shape as it is.")
 @click.option(
@@ -198,7 +198,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     type=float,
     metavar="PX",
     help="How exactly the masks show where the outline is, a standard deviation in pixels.  "
-    "[default: by their softness, at least 0.5]",
+    "[default: by their softness and size, at least 0.5]",
 )
 @click.option(
     "--ignore",

@@ -1,4 +1,4 @@
-"""One refinement as a composition: examine, prepare, verify, optimise, judge."""
+"""One refinement as a composition: examine, prepare, optimise, judge."""
 
 from __future__ import annotations
 

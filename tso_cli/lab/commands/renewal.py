@@ -52,7 +52,7 @@ KEPT = (
         "tso lab accuracy --meshes DIR --part validation --views 1 --ablation",
     ),
     Kept("evidence", "tso lab evidence --meshes DIR --views 1"),
-    Kept("harm", "tso lab harm --meshes DIR --unseen DIR"),
+    Kept("harm", "tso lab harm --meshes DIR --unseen DIR --per 9 --variants"),
     Kept("moves", "tso lab moves --meshes DIR --limit 6"),
     Kept("affinity", "tso lab affinity --meshes DIR"),
     Kept("lambda", "tso lab lambda --meshes DIR"),
