@@ -104,6 +104,21 @@ def test_what_may_be_wrong_and_what_mends_it(words, finding, what, option):
     assert words.suspicion([finding]) == f"it looks as if {what}: try {option}"
 
 
+@pytest.mark.parametrize(
+    ("words", "name", "values", "option"),
+    [
+        (ONE, "focal-length", {}, "--camera fit if the camera was guessed, or "),
+        (TWO, "focal-length", {}, "another focal length in the camera file if the camera was "),
+        (ONE, "outline", {"pixels": 2.24}, "--mask-error 2.2 if the mask is wrong, or "),
+        (ONE, "depth-apart", {"times": 1.25}, "--depth-scale 0.8 if the maps are wrong, or "),
+    ],
+)
+def test_each_way_to_read_a_symptom_has_its_option(words, name, values, option):
+    of_all = {"percent": 5.0, "how": "long", "otherwise": "smaller", "other": "near", "share": 9.0}
+    finding = Finding(name, tuple(range(len(words.names))), values={**of_all, **values})
+    assert words.what_and_option(finding)["option"].startswith(option)
+
+
 def test_alternatives_are_one_sentence():
     findings = [Finding(name, (0, 1)) for name in ("opengl", "pytorch3d", "camera-to-world")]
     assert TWO.suspicion(findings) == (

@@ -43,6 +43,16 @@ def views_around(points, count):
     return views
 
 
+@NAMES
+def test_a_longer_object_is_no_other_object(name):
+    """Its ends lie outside of the masks, and the rest fits."""
+    scene = example(name)
+    longest = np.argmax(np.ptp(scene.target, axis=0))
+    longer = scene.target * np.where(np.arange(3) == longest, 1.3, 1.0)
+    views = views_around(scene.target, 2)
+    assert not Cloud(longer, "cloud").controlled(views=views).left_out.any()
+
+
 @pytest.mark.parametrize("count", [1, 4, 30])
 @pytest.mark.parametrize(
     ("name", "start"),

@@ -209,6 +209,14 @@ def test_the_principal_point_tells_the_width_that_K_is_of(width):
     assert f"K-of-width={width}" in [finding.name for finding in found.of_input]
 
 
+@pytest.mark.parametrize("shift", [(0.05, -0.04), (0.03, 0.03)])
+def test_K_of_a_cropped_picture_is_not_of_another_width(shift):
+    K = PLANE.camera.K.copy()
+    K[:2, 2] += np.array([PLANE.camera.width, PLANE.camera.height]) * shift
+    found = examined(PLANE.points, [replace(PLANE.view, camera=replace(PLANE.camera, K=K))])
+    assert not [one for one in found.of_input if one.name.startswith("K-of-width")]
+
+
 @pytest.mark.parametrize("size", [(1, 64), (64, 1)])
 def test_a_picture_of_one_column_or_row_has_no_half(size):
     mask = np.zeros(64, np.float32)

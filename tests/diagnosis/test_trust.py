@@ -131,6 +131,12 @@ def test_each_rule_says_what_to_think(name):
     assert trust_of(facts, {"motion: across": 1.0}).features == {"motion: across": 1.0}
 
 
+def test_a_cloud_that_fits_a_part_of_its_mask_is_not_sure_to_be_right():
+    diagnosis = Diagnosis((), fits=True, hidden={0: np.ones((4, 4), bool)})
+    trust = trust_of(replace(SURE, diagnosis=diagnosis, improved=False))
+    assert (trust.verdict, trust.confidence) == ("left", None)
+
+
 def test_each_rule_has_a_row():
     assert len(ROWS) == len(RULES)
 

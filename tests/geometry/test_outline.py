@@ -133,6 +133,24 @@ def test_the_outline_error_of_a_blurred_mask_is_the_blur(sigma, sharp):
     assert _view(blurred).outline_error == pytest.approx(sigma, rel=0.2)
 
 
+@pytest.mark.parametrize("times", [2, 4, 8])
+def test_the_squares_of_an_enlarged_mask_are_its_pixels(times):
+    mask = _disc()[::2, ::2]
+    small, enlarged = (
+        View(some, Camera.canonical(*some.shape)).outline_error
+        for some in (mask, np.kron(mask, np.ones((times, times))))
+    )
+    assert enlarged == pytest.approx(times * small)
+
+
+@pytest.mark.parametrize("error", [5.0, 1e9])
+def test_an_error_that_is_large_for_the_object_is_refused(error):
+    mask = np.zeros((64, 64))
+    mask[20:38, 20:30] = 1.0
+    with pytest.raises(InputError, match="the object is 18 px long, expected at most 4.5 px"):
+        _view(mask, mask_error=error)
+
+
 def test_an_error_that_is_known_is_the_outline_error():
     for mask in (_disc(), gaussian_filter(_disc(), 2.0)):
         assert _view(mask, mask_error=0.2).outline_error == 0.2

@@ -61,6 +61,22 @@ def test_a_cloud_that_fits_its_mask_is_not_bent_to_a_map_that_is_shifted(name):
     np.testing.assert_array_equal(result.points, SCENES[name].target)
 
 
+@pytest.mark.parametrize("times", [0.9, 1.1])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_map_at_another_distance_does_not_draw_a_cloud_of_another_shape(name, times):
+    scene = SCENES[name]
+    result = refine(scene.points, with_map(times * DEPTHS[name], name=name))
+    assert of_maps(result) == [("depth-apart", (0,))]
+    np.testing.assert_array_equal(result.points, scene.points)
+
+
+def test_a_map_that_contradicts_a_cloud_is_used_if_the_cloud_is_said_to_be_wrong():
+    config = RefineConfig(accept_doubtful=True)
+    result = refine(CHAIR.target, with_map(1.05 * DEPTH), config=config)
+    assert result.trust.verdict == "doubtful"
+    assert np.abs(result.points - CHAIR.target).max() > 0.01
+
+
 def test_what_is_told_is_believed(by_mask):
     result = refine(CHAIR.points, with_map(2.0 + WRONG["depth-inverse"] / 20.0, "z"))
     assert of_maps(result) == []
