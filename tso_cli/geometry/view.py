@@ -21,8 +21,8 @@ OUTLINE_ERROR = 0.5
 COARSE_ERROR, COARSE_SIDE = 0.75, 24.0
 # A mask whose outline is less exact than this share of the object's longer side shows no shape.
 LARGEST_ERROR = 0.25
-# An outline with so many steps or more along both axes shows by the shortest of them whether a
-# smaller mask was enlarged.
+# The shortest step of an outline shows whether a smaller mask was enlarged, where the outline has
+# this number of steps along both axes.
 FEWEST_STEPS = 8
 # In units of the camera. Sums of squares of larger depths lose precision or overflow.
 LARGEST_DEPTH = 1e15

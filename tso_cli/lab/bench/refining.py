@@ -104,7 +104,7 @@ def chair_views(count: int = 1) -> list[View]:
 def measure_command(setting: Setting) -> Cases:
     """Processes of bare Python, of `import torch` and of `tso` commands.
 
-    A first run finds no byte code and no compiled loops. Raises TsoError if a command fails,
+    A first run finds no byte code. Raises TsoError if a command fails,
     InputError if the shipped examples are missing.
     """
     plain = {
