@@ -31,8 +31,9 @@ SHADOW, ASIDE = 0.55, 0.2
 MOST_OVERLAP = 0.15
 LEAST_LEFT = 0.3
 """The share of the foreground that a tight mask keeps, unless it is a pixel thin."""
-# The share of the points that must still fall on the mask where the principal point is wrong.
-LEAST_ON_MASK = 0.1
+# The share of the points that must still fall on the mask where the principal point is wrong, and
+# the per cent of a picture under which nothing more is tried.
+LEAST_ON_MASK, LEAST_CROP = 0.1, 0.5
 FLOOR_SHARES = {1.5: 0.2, 2.0: 0.4, 3.0: 0.6}
 """Width of a floor, in widths of the object -> the floor's share of all points."""
 FLOATER_BOX = 1.5
@@ -242,7 +243,9 @@ def _crop(scene: Scene, percent: float, rng: Rng) -> Scene:
             return replace(camera, K=camera.K + np.outer([*pixels, 0.0], [0.0, 0.0, 1.0]))
 
         cropped = _with_cameras(scene, moved)
-        if min(_on_mask(scene.initial, view) for view in cropped.views) >= LEAST_ON_MASK:
+        on_mask = min(_on_mask(scene.initial, view) for view in cropped.views)
+        # Of a thin object few points fall on a mask of few pixels, however little is cropped.
+        if on_mask >= LEAST_ON_MASK or percent < LEAST_CROP:
             return cropped
         percent /= 2.0
 
