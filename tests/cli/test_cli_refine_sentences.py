@@ -199,8 +199,8 @@ def test_notes_leave_out_what_is_said_of_suspicious_findings():
     notes[1] = replace(notes[1], values={"why": "two poses fit"})
     assert ONE.notes([Finding("box", (0,)), *notes]) == [
         "points far from the rest stay where they are, and no measure counts them (found 3)",
-        "a.png: the fitted camera is unsure: two poses fit (give --fov or --focal, or a cloud of the "
-        "right shape, and look at --overlay)",
+        "a.png: the fitted camera is unsure: two poses fit (give --fov or --focal, or a cloud of "
+        "the right shape, and look at --overlay)",
     ]
 
 

@@ -1,8 +1,8 @@
 """Points that most masks leave out: the ground that an object stands on, floaters, other objects.
 
 A cloud of another shape or in another place is outside of its masks too. So points are no part of
-the object only where the others fit the masks as a right cloud does, and all of them do not in other
-proportions; or where they are a plane that reaches beyond the object, with all that is below it.
+the object only where the others fit the masks as a right cloud does, and all of them do not in
+other proportions; or where they are a plane that reaches beyond the object, with all below it.
 """
 
 from __future__ import annotations
@@ -117,10 +117,14 @@ def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
                 ground = with_base
     rest = points[~(left if ground is None else left | ground.holds(points))]
     far = 2 * _left_out(points, targets, FAR).sum() >= left.sum()
-    if far and longest_side(rest) > 0.0 and (missed := _missed(rest, some)) < FITS:
+    if (
+        far
+        and longest_side(rest) > 0.0
+        and (missed := _missed(rest, some)) < FITS
         # A longer object is outside of the masks too.
-        if missed < missed_if_stretched(_body(points), some) - SIMILAR:
-            return LeftOut(targets, ground)
+        and missed < missed_if_stretched(_body(points), some) - SIMILAR
+    ):
+        return LeftOut(targets, ground)
     return None if ground is None else LeftOut((), ground)
 
 

@@ -15,10 +15,10 @@ from .depth_map import SeenSurface
 from .findings import Finding
 from .foreign_parts import Parts
 
-# The surface that depth maps and a cloud both show is apart by more than this, in longest sides (the
-# median), if one of them is wrong. Of exact clouds 95 of 100 are nearer to right maps. Of clouds of
-# another shape the distance alone is compared: 96 of 100 are nearer to right maps than the second
-# number, and all are farther from maps whose depths are wrong by a twentieth.
+# The surface that depth maps and a cloud both show is apart by more than this, in longest sides
+# (the median), if one of them is wrong. Of exact clouds 95 of 100 are nearer to right maps. Of
+# clouds of another shape the distance alone is compared: 96 of 100 are nearer to right maps than
+# the second number, and all are farther from maps whose depths are wrong by a twentieth.
 DEPTH_OFF, DEPTH_APART = 0.05, 0.1
 
 
@@ -47,8 +47,10 @@ def depth_that_contradicts(body: Body, views: Sequence[View], fits: bool) -> tup
     if abs(apart) > DEPTH_APART:
         times = float(np.median([surface.times for surface in shared]))
         how, other = ("far", "near") if apart > 0.0 else ("near", "far")
-        values = {"share": 100.0 * abs(apart), "how": how, "other": other, "times": times}
-        return (Finding("depth-apart", tuple(with_depth), values=values),)
+        values: dict[str, float | str] = {"share": 100.0 * abs(apart), "times": times}
+        return (
+            Finding("depth-apart", tuple(with_depth), values=values | {"how": how, "other": other}),
+        )
     off = float(np.median([surface.off(surface.values)[0] for surface in shared]))
     if not fits or off < DEPTH_OFF:
         return ()

@@ -65,8 +65,8 @@ NOTES = {
     "file is taken for a picture of the canonical camera",
     "outliers": "points far from the rest stay where they are, and no measure counts them "
     "(found {count:,})",
-    "left-out": "{count:,} points ({share:.0f} %) lie outside the masks, which the others fit: they "
-    "are not the object, or something hides them; they stay, and no measure counts them",
+    "left-out": "{count:,} points ({share:.0f} %) lie outside the masks, which the others fit: "
+    "they are not the object, or something hides them; they stay, and no measure counts them",
     "faint": "{count:,} splats have an opacity under 5 %: they move along, and nothing depends on "
     "them",
     "not-a-mesh": "{why}, so the vertices are taken for a cloud",

@@ -49,8 +49,8 @@ class RefineConfig:
     move : what may move as one before the shape is refined, in points mode: "shape" (nothing),
         "pose" (the cloud turns and shifts), "similarity" (its size may change too), "camera" (each
         camera turns and shifts by itself), or "auto" (the cloud turns and shifts where that
-        explains the misfit and other proportions do not). The default is "auto" with "best" in points mode, else
-        "shape".
+        explains the misfit and other proportions do not). The default is "auto" with "best" in
+        points mode, else "shape".
     keep : what stays, where one camera cannot tell the size of a cloud from its distance: "size",
         "distance", or "auto" (the distance for a shift and a similarity, else the size).
     only : move as one, and leave the shape as it is.
