@@ -347,22 +347,6 @@ def determined() -> str:
     return f"{markdown(['evidence', '`determined`', 'error'], rows)}\n\n{note}"
 
 
-def harm() -> str:
-    """What becomes of clouds in the troubles of the field, beside the paper's preset."""
-    summary = record("harm")["summary"]
-    names = {"default": "default", "shape": "`--move shape`", "paper": "`--preset paper`"}
-    starts = {"exact": "the right cloud", "other": "a cloud of another shape"}
-    ends = ("silent", "said", "gained", "withheld")
-    rows = [
-        [text, start, str(row["runs"]), *(f"{row[end]:.0f} %" for end in ends)]
-        for name, text in names.items()
-        for key, start in starts.items()
-        for row in [summary[name]["all"][key]]
-    ]
-    header = ["setting", "start", "runs", "worse, not said", "worse, said", "better", "gain left"]
-    return markdown(header, rows)
-
-
 def network() -> str:
     """The shipped network on types that it has not seen."""
     keys = ("network", "mean_view", "mean_aligned", "nearest")
@@ -623,7 +607,6 @@ FIGURES = (
     cameras,
     confidence,
     determined,
-    harm,
     network,
     photos,
     moves,

@@ -125,15 +125,15 @@ def test_in_the_mixture_what_is_left_or_refused_stays_as_it_was():
 
 
 def test_a_limit_withholds_the_gains_below_it_and_silences_what_is_worse_above_it():
-    right = [of("nothing wrong", confidence=value) for value in (0.35, 0.9)]
-    trouble = [of("yaw", ratio=2.0, confidence=0.65), of("yaw", confidence=0.45)]
+    right = [of("nothing wrong", confidence=value) for value in (0.55, 0.95)]
+    trouble = [of("yaw", ratio=2.0, confidence=0.75), of("yaw", confidence=0.65)]
     table = {limit: row for limit, *row in confidence._limits([*right, *trouble])}
-    assert table[0.3][:4] == [0.0, 0.0, 0.5, 0.0]
-    assert table[0.5][:4] == [0.5, 0.5, 0.5, 0.5]
-    assert table[0.7][:4] == [0.5, 0.5, 0.0, 0.5]
+    assert table[0.5][:4] == [0.0, 0.0, 0.5, 0.0]
+    assert table[0.7][:4] == [0.5, 0.5, 0.5, 0.5]
+    assert table[0.8][:4] == [0.5, 0.5, 0.0, 0.5]
     found = of("yaw", ratio=2.0, finding=True, flagged=True, left=True)
     table = {limit: row for limit, *row in confidence._limits([*right, found])}
-    assert table[0.3][2] == 0.0
+    assert table[0.5][2] == 0.0
 
 
 def test_figures_are_shares_of_the_results_and_the_auc_is_of_those_that_moved():

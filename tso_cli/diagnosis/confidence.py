@@ -62,7 +62,6 @@ def features_of(
         "motion: shift": _log(float(np.linalg.norm(moved.mean(0)))),
         **of_prior,
         "input: findings": 0.0 if diagnosis.outvoted else float(len(diagnosis.suspicious)),
-        "input: views": float(np.log(len(problem.given))),
         "misfit: outline": _log(_outline_error(problem)),
         "start: contours": float(np.log(contours_before + LEAST_MISSED)),
         "misfit: contours": contours_after**2,
