@@ -40,8 +40,8 @@ OPTIONS = {
     "pose": "--move pose if the camera is right",
     "shift": "--move pose if the camera is right",
 }
-# What may be tried where a focal length looks wrong: `--camera fit` reads a single mask.
-OTHER_FOCAL = "--camera fit", "another focal length in the camera file"
+# What mends a wrong focal length: with one mask, and with several, which `--camera fit` refuses.
+FIT_FOCAL, EDIT_FOCAL = "--camera fit", "another focal length in the camera file"
 # What a verdict means; "" where there is none.
 VERDICTS = {
     "fits better": "The cloud moved and agrees better with the masks. Probably that does not harm: "
@@ -128,7 +128,8 @@ class Words:
         values = dict(symptom.values)
         if "times" in values:
             values["scale"] = self.depth_scale / float(values["times"])
-        return OPTIONS[symptom.name].format(focal=OTHER_FOCAL[len(self.names) > 1], **values)
+        focal = FIT_FOCAL if len(self.names) == 1 else EDIT_FOCAL
+        return OPTIONS[symptom.name].format(focal=focal, **values)
 
     def _option(self, assumption: Assumption) -> str:
         by_option = self.inverted and assumption == INVERTED

@@ -87,8 +87,7 @@ class FittedCamera:
             other = f"next best {best.iou:.2f} at {best.degrees:.0f} degrees"
         return (
             f"fitted, IoU {self.iou:.2f}, azimuth {azimuth:.0f}, elevation {elevation:.0f} (y up); "
-            f"{other}: {'sure' if self.sure else 'unsure'}; "
-            f"{self.focal_length}"
+            f"{other}: {'sure' if self.sure else 'unsure'}; {self.focal_length}"
         )
 
     @property

@@ -368,8 +368,10 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
     suspects = document["suspects"]
     suspicious = ""
     if suspects:
-        scores = (f"{one['score']:.3f}" if one["score"] else "-" for one in suspects)
-        rows = ((s["what"], s["option"], score) for s, score in zip(suspects, scores, strict=True))
+        rows = (
+            (one["what"], one["option"], f"{one['score']:.3f}" if one["score"] else "-")
+            for one in suspects
+        )
         table = _table(("what may be wrong", "what to try", "IoU then"), rows)
         suspicious = f"<h3>Findings</h3>{table}"
     settings = _table(
