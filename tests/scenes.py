@@ -60,7 +60,7 @@ def depth_of(scene: Example) -> np.ndarray:
 
 def problem_of(points: np.ndarray, *views: View, symmetry: str = "none") -> Problem:
     """A cloud and its views, prepared for the default optimisation."""
-    settings = RefineConfig(symmetry=symmetry).settings(len(views))
+    settings = RefineConfig(symmetry=symmetry).settings()
     return prepare(Cloud(points, "points").controlled(), views, settings)
 
 

@@ -113,7 +113,7 @@ def test_a_camera_far_off_leaves_less_confidence_though_iou_rises(name):
 
 def _judged(diagnosis: Diagnosis, inlier_weight: float = 1.0) -> RefineResult:
     """The aeroplane's result from right input, if its input had this ``diagnosis``."""
-    settings = RefineConfig().settings(1)
+    settings = RefineConfig().settings()
     scene = as_scene(AIRPLANE.points, AIRPLANE.view)
     cloud = scene.cloud.controlled(settings.points, scene.views)
     weighed = weigh(prepare(cloud, scene.views, settings), settings)

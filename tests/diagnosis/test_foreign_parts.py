@@ -40,7 +40,7 @@ def test_a_right_cloud_stays_before_a_mask_with_something_else(view):
 
 
 def test_a_check_names_the_part_that_a_refinement_names():
-    diagnosis, *_ = check(as_scene(CHAIR.target, PERSON), RefineConfig().settings(1))
+    diagnosis, *_ = check(as_scene(CHAIR.target, PERSON), RefineConfig().settings())
     assert diagnosis.findings == refine(CHAIR.target, PERSON).findings
     assert "foreign-part" in [finding.name for finding in diagnosis.findings]
 

@@ -115,7 +115,7 @@ def test_masks_that_seem_to_be_exchanged_and_are_not_are_paired_rightly(count):
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_refinement_and_a_check_find_the_same_under_any_preset(name, preset):
     view, config = changed(CHAIR.view, name), RefineConfig(preset=preset)
-    diagnosis, *_ = check(as_scene(CHAIR.points, view), config.settings(1))
+    diagnosis, *_ = check(as_scene(CHAIR.points, view), config.settings())
     assert (name, (0,)) in named(diagnosis.suspicious)
     assert refine(CHAIR.points, view, config=config).findings == diagnosis.findings
 

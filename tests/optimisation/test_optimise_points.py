@@ -8,7 +8,7 @@ from tests.scenes import problem_of, seen
 from tso_cli import RefineConfig, refine
 from tso_cli.optimisation.learned_start import Beginning
 from tso_cli.optimisation.objective import PositionPrior
-from tso_cli.optimisation.optimise import optimise_points
+from tso_cli.optimisation.optimise import firmness_after, optimise_points
 from tso_cli.render import look_at
 
 
@@ -48,6 +48,19 @@ def test_a_start_that_is_right_stays(chair):
         found = optimise_points(problem, [1.0], 5, begin=Beginning(start, right))
         assert np.array_equal(found.best, start) == right
         assert (found.best_loss == found.first_loss) == right
+
+
+def test_where_the_learned_prior_moves_little_points_are_held_firmer(chair):
+    problem = problem_of(chair.points, chair.view)
+    start = problem.cloud.start
+    far = [
+        np.square(optimise_points(problem, [1.0], 20, begin=begin).best - start).mean()
+        for begin in (None, Beginning(start))
+    ]
+    assert far[1] < 0.5 * far[0]
+    assert [firmness_after(moved) for moved in (0.0, 0.05, 0.1, 0.3)] == pytest.approx(
+        [16, 4, 1, 1]
+    )
 
 
 def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):

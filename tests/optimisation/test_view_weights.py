@@ -68,7 +68,7 @@ def test_a_wrong_view_among_four_is_the_only_outlier(what):
 def test_a_wrong_view_spoils_less_than_if_it_were_trusted():
     points, target, views = _seen_around("car")
     problem = problem_of(points, *_with_a_wrong_one(views, target, "a mask of something else"))
-    settings = RefineConfig().settings(4)
+    settings = RefineConfig().settings()
     weighed = weigh(problem, settings)
     trusting = replace(weighed, weights=[1.0] * 4)
     assert weighed.weights[1] < trusting.weights[1]

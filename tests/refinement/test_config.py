@@ -13,9 +13,12 @@ from tso_cli import InputError, RefineConfig
         (RefineConfig(preset="paper"), None),
     ],
 )
-@pytest.mark.parametrize("views", [1, 9])
-def test_as_many_points_move_by_default_whatever_the_number_of_views(config, points, views):
-    assert config.settings(views).points == points
+def test_a_thousand_points_move_by_default_and_all_with_the_papers_preset(config, points):
+    assert config.settings().points == points
+
+
+def test_without_the_learned_prior_the_optimiser_takes_more_steps():
+    assert RefineConfig(prior="none").settings().steps > RefineConfig().settings().steps
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,7 @@ class RefineRun:
         if verbose or (check and not quiet):
             self._log_sources()
         self._config = self._configured(chosen)
-        self._settings = self._config.settings(len(self._scene.views))
+        self._settings = self._config.settings()
         names = [view.name for view in self._scene.views]
         self._words = Words(
             names,

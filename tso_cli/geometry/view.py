@@ -233,11 +233,6 @@ class View:
         return left - 0.5, top - 0.5, right - 0.5, bottom - 0.5
 
     @property
-    def observations(self) -> int:
-        """The mask, and the depth map and the photo if there are any."""
-        return 1 + (self.depth is not None) + (self.image is not None)
-
-    @property
     def specks(self) -> int:
         """How many foreground pixels lie outside the object's box."""
         left, top, right, bottom = self.pixels_of_object

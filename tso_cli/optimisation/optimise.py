@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.arrays import Array, Indices
+from ..geometry.points import root_mean_square
 from ..losses.chamfer import ChamferToStart
 from ..losses.nearest import nearest_few
 from ..losses.photometric import Photo, PhotometricTerm
@@ -15,7 +16,7 @@ from .learned_start import Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import PositionPrior, SilhouetteObjective
 from .parameters import PointParameters
-from .presets import BEST_POINTS, PRIOR_WEIGHT
+from .presets import BEST_POINTS, FAR, FIRMEST, PRIOR_WEIGHT
 from .problem import Problem
 from .settings import Settings
 from .view_weights import weights_of
@@ -71,7 +72,6 @@ def optimise_points(
     steps: int,
     learning_rate: float = BEST_POINTS.learning_rate,
     begin: Beginning | None = None,
-    prior_weight: float = PRIOR_WEIGHT,
     on_progress: Progress | None = None,
 ) -> Optimised:
     """Move the points of a cloud until it agrees with its views, held near where they begin.
@@ -82,12 +82,15 @@ def optimise_points(
     ----------
     weights : of the given views.
     learning_rate : how far a coordinate moves in the first step.
-    begin : where the points are at first, and held; the start without it.
+    begin : where the learned prior has moved the points; they are held there, else at the start.
     """
-    start, begin = problem.cloud.start, begin or Beginning(problem.cloud.start)
+    start, firmness = problem.cloud.start, 1.0
+    if begin is not None:
+        firmness = firmness_after(root_mean_square(begin.points - start))
+    begin = begin or Beginning(start)
     photos = _photometric(problem, weights, begin.points)
     agreement = sum_of([problem.targets(weights).loss, *photos])
-    held = PositionPrior(begin.points, prior_weight)
+    held = PositionPrior(begin.points, firmness * PRIOR_WEIGHT)
     parameters = PointParameters(begin.points, learning_rate)
     found = minimise(parameters, sum_of([agreement, held]), steps, on_progress)
     # Compared without the position prior, which may hold the cloud elsewhere than at its start.
@@ -101,6 +104,14 @@ def optimise_points(
         best_loss=loss_at_best if better else loss_at_start,
         begun=begin,
     )
+
+
+def firmness_after(moved: float) -> float:
+    """How many times as firmly points are held after the learned prior has ``moved`` them so far.
+
+    moved : a root mean square, for a cloud of longest side 1.
+    """
+    return float(np.clip((FAR / max(moved, FAR / FIRMEST)) ** 2, 1.0, FIRMEST))
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,14 +74,9 @@ class Problem:
         return [*weights, *weights] if self.flipped else [*weights]
 
     @property
-    def observations(self) -> int:
-        """How many masks, depth maps and photos there are."""
-        return sum(view.observations for view in self.views)
-
-    @property
     def masks_alone(self) -> bool:
         """Whether no view has a depth map or a photo."""
-        return self.observations == len(self.given)
+        return all(view.depth is None and view.image is None for view in self.views)
 
 
 def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> Problem:

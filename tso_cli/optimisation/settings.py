@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from ..io.shipped import NO_PRIOR
 from ..pose.asked import Asked, Keep
-from .presets import Mode, Preset, default_steps
+from .presets import Mode, Preset
 
 
 @dataclass(frozen=True)
@@ -33,12 +32,6 @@ class Settings:
     points: int | None
     prior: str
     given: frozenset[str]
-
-    def for_observations(self, count: int) -> Settings:
-        """The same with the default steps for this many masks, depth maps and photos."""
-        if not self.smooth or "steps" in self.given:
-            return self
-        return replace(self, steps=default_steps(count, self.prior != NO_PRIOR))
 
     @property
     def smooth(self) -> bool:

@@ -16,7 +16,7 @@ from .clock import Clock
 from .config import RefineConfig
 from .result import RefineResult
 from .run import run
-from .scene import as_scene, as_views
+from .scene import as_scene
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -69,10 +69,9 @@ def refine(
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
-    views = as_views(masks, cameras)
     if not isinstance(config, RefineConfig | None):
         raise InputError(f"the config is of type {type(config).__name__}, expected a RefineConfig")
-    settings = (config or RefineConfig()).settings(len(views))
+    settings = (config or RefineConfig()).settings()
     clock, parameters = Clock(), None
     with clock.phase("prepare"):
         if settings.mode == "points":

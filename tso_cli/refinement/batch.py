@@ -237,7 +237,7 @@ def _refined(job: _Job) -> tuple[RefineResult, list[Warning]]:
             clock = Clock()
             with clock.phase("prepare"):
                 scene = as_scene(points, masks, name=f"points of scene {number}")
-            result = run(scene, job.config.settings(len(scene.read)), clock)
+            result = run(scene, job.config.settings(), clock)
         except KeyboardInterrupt:
             raise _not_begun(number) from None
     texts = [warning.message for warning in caught if isinstance(warning.message, Warning)]

@@ -17,9 +17,9 @@ from ..optimisation.presets import (
     MODES,
     PRESETS,
     SIGMA_SQ,
+    STEPS_WITHOUT_PRIOR,
     Mode,
     Preset,
-    default_steps,
 )
 from ..optimisation.settings import Settings
 from ..optimisation.symmetry import parse_symmetry
@@ -64,8 +64,8 @@ class RefineConfig:
         "learned" with "best" in points mode, else "none".
 
     The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
-    `DEFAULTS` in ``optimisation/presets.py``. "best" in points mode takes 20 steps
-    without a learned prior, or with more than one mask.
+    `DEFAULTS` in ``optimisation/presets.py``. Without a learned prior "best" takes 20 steps in
+    points mode.
 
     Raises
     ------
@@ -162,12 +162,12 @@ class RefineConfig:
         """As `Settings.smooth`."""
         return self.preset == "best" and self.mode == "points"
 
-    def settings(self, views: int = 1) -> Settings:
-        """The same with the preset's values in place of None, for clouds with ``views`` views."""
+    def settings(self) -> Settings:
+        """The same with the preset's values in place of None."""
         preset, smooth = DEFAULTS[self.preset, self.mode], self._smooth
-        steps = default_steps(views, str(self.prior) != NO_PRIOR)
+        unlearned = smooth and str(self.prior) == NO_PRIOR
         defaults: dict[str, Any] = dict(
-            steps=steps if smooth else preset.steps,
+            steps=STEPS_WITHOUT_PRIOR if unlearned else preset.steps,
             learning_rate=preset.learning_rate,
             gamma=preset.gamma,
             symmetry="auto" if smooth else "none",
