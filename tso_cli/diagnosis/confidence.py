@@ -15,7 +15,6 @@ import numpy as np
 
 from ..geometry.arrays import Array
 from ..geometry.points import root_mean_square
-from ..losses.mask_chamfer import REFERENCE_SIDE
 from ..optimisation.learned_start import Beginning
 from ..optimisation.problem import Problem
 from .examine import Diagnosis
@@ -62,20 +61,10 @@ def features_of(
         "motion: shift": _log(float(np.linalg.norm(moved.mean(0)))),
         **of_prior,
         "input: findings": 0.0 if diagnosis.outvoted else float(len(diagnosis.suspicious)),
-        "misfit: outline": _log(_outline_error(problem)),
+        "input: views": float(np.log(len(problem.given))),
         "start: contours": float(np.log(contours_before + LEAST_MISSED)),
         "misfit: contours": contours_after**2,
     }
-
-
-def _outline_error(problem: Problem) -> float:
-    """How exactly all masks together show an outline, in longest sides of the cloud."""
-    errors = []
-    for windowed in problem.given:
-        camera, (left, _, right, _) = windowed.resampled.camera, windowed.resampled.box
-        cells = windowed.view.outline_error * camera.width / (right - left)
-        errors.append(cells * REFERENCE_SIDE / (windowed.resampled.magnification * camera.width))
-    return float(np.mean(errors) / np.sqrt(len(errors)))
 
 
 def _not_similar(start: Array, best: Array) -> float:
