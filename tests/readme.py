@@ -323,9 +323,9 @@ def confidence() -> str:
     note = (
         f"Of {right['results']} right scenes, {100 * right['flagged']:.0f} % were called doubtful, "
         f"and {100 * right['withheld']:.0f} % were left as\nthey were.\n\n"
-        "The study always moved the points. Take as many right scenes as others. Then "
-        f"{200 * mixture['worse']:.0f} of\n200 results got worse by over 5 %, and "
-        f"{200 * mixture['unflagged']:.0f} of 200 without a word. The mean logarithm of\n"
+        "The study always moved the points. Of 100 right scenes and 100 others, "
+        f"{200 * mixture['worse']:.0f}\nresults got worse by over 5 %, and "
+        f"{200 * mixture['unflagged']:.0f} without a word. The mean logarithm of\n"
         f"after / before was {mixture['always']:.2f}. It is {mixture['left']:.2f} if the clouds "
         "that tso leaves count as unchanged."
     )

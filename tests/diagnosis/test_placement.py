@@ -33,7 +33,7 @@ def test_the_iou_of_boxes(other, iou):
 
 
 def test_a_box_in_words():
-    assert describe_box((29.5, -0.5, 33.5, 12.0)) == "columns 30 to 34, rows 0 to 12"
+    assert describe_box((29.5, -0.5, 33.5, 12.0)) == "columns 30 to 33, rows 0 to 12"
 
 
 @pytest.mark.parametrize(

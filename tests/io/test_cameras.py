@@ -290,7 +290,7 @@ def test_views_that_name_other_masks_are_taken_in_their_order_with_a_warning(sav
 def test_another_number_of_masks_than_views_and_an_order_that_contradicts_the_names_are_refused(
     save_views,
 ):
-    message = r"views\.json: holds 3 views \(.*\), which name no pictures, found 2 masks"
+    message = r"views\.json: holds 3 views without names of pictures, found 2 masks"
     assert_refused(message, _order, save_views(None, None, None), "a.png", "b.png")
     message = r"b\.png is named like view 2 of 3 and is mask 1, expected the order of the views"
     assert_refused(

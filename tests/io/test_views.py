@@ -219,7 +219,7 @@ def test_views_without_pictures_take_masks_in_their_order_alone(tmp_path):
     document["parameters"] *= 3
     (tmp_path / "t.json").write_text(json.dumps(document))
     assert_refused(
-        "which name no pictures, found 1 mask; expected as many; give a mask for each view",
+        "without names of pictures, found 1 mask; expected as many; give a mask for each view",
         load_views,
         ViewFiles([FILES / "cameras/mask.png"], tmp_path / "t.json"),
     )

@@ -250,7 +250,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @options.flag(
     "--strict",
     "Write nothing if the result is doubtful or has no confidence: exit code 3. Exit code 4 if "
-    "nothing moved.",
+    "the cloud is left.",
 )
 @click.option(
     "--overlay",

@@ -102,6 +102,7 @@ class RefineRun:
             [str(file) for file in self._inputs.depth],
             self._inputs.depth_scale or 1.0,
             may_turn=self._settings.move in ("auto", "shape"),
+            accepting=self._settings.accept_doubtful,
         )
 
     def check(self) -> int:
@@ -137,7 +138,7 @@ class RefineRun:
                 self._iterates,
             )
         finished = time.perf_counter()
-        for text in self._words.warnings(result):
+        for text in self._words.warnings(result, refused):
             warnings.warn(text, stacklevel=1)
         times = {"write": finished - writing, "total": finished - self._started}
         return self._report(result, {"read": read, **result.cost.seconds, **times}), refused

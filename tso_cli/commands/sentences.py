@@ -40,6 +40,7 @@ OPTIONS = {
     "pose": "--move pose if the camera is right",
     "shift": "--move pose if the camera is right",
 }
+ACCEPT = "--accept-doubtful"
 # What mends a wrong focal length: with one mask, and with several, which `--camera fit` refuses.
 FIT_FOCAL, EDIT_FOCAL = "--camera fit", "another focal length in the camera file"
 # What a verdict means; "" where there is none.
@@ -78,7 +79,7 @@ class Words:
     """Makes sentences about views with these ``names``; ``inverted`` by --invert-mask.
 
     depths : the files of their depth maps, if there are some. depth_scale : as it was given.
-    may_turn : whether the cloud may still be asked to turn as one.
+    may_turn : whether the cloud may still be asked to turn as one. accepting : --accept-doubtful.
     """
 
     names: Sequence[str]
@@ -86,6 +87,7 @@ class Words:
     depths: Sequence[str] = ()
     depth_scale: float = 1.0
     may_turn: bool = True
+    accepting: bool = False
 
     def suspicion(self, findings: Sequence[Finding]) -> str:
         """What may be wrong with the input, and what to try; "" without findings."""
@@ -129,7 +131,10 @@ class Words:
         if "times" in values:
             values["scale"] = self.depth_scale / float(values["times"])
         focal = FIT_FOCAL if len(self.names) == 1 else EDIT_FOCAL
-        return OPTIONS[symptom.name].format(focal=focal, **values)
+        option = OPTIONS[symptom.name].format(focal=focal, **values)
+        # What was given already mends nothing more.
+        given = self.accepting and ACCEPT in option
+        return option.partition(", or ")[0] if given else option
 
     def _option(self, assumption: Assumption) -> str:
         by_option = self.inverted and assumption == INVERTED
@@ -192,12 +197,15 @@ class Words:
             return self.suspicion(self.suspicious(result.findings))
         return trust.says + (ADVICE_OF_CAMERA if trust.reason == "camera" else "")
 
-    def warnings(self, result: RefineResult) -> list[str]:
-        """One sentence each, to read before the result is used."""
+    def warnings(self, result: RefineResult, refused: bool = False) -> list[str]:
+        """One sentence each, to read before the result is used.
+
+        Of a result that is ``refused``, an error says why.
+        """
         fit, trust, reason = result.fit, result.trust, self.reason(result)
         reading = reading_of(result.move, result.settings.move, start_of(result))
         messages = [text for text in (reading, _of_course(result)) if text]
-        if trust.verdict == "doubtful":
+        if trust.verdict == "doubtful" and not refused:
             sure = ""
             if trust.confidence is not None:
                 sure = f" (confidence {shown(trust.confidence)})"

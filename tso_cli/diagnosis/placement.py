@@ -111,6 +111,7 @@ def require_plane_through(problem: Problem, symmetry: str) -> None:
 
 
 def describe_box(box: Box) -> str:
-    """``box`` in words, rounded to whole pixels."""
-    left, top, right, bottom = (round(edge) for edge in box)
+    """The first and last pixels of a ``box`` in words."""
+    left, top = (int(np.floor(edge + 0.5)) for edge in box[:2])
+    right, bottom = (int(np.ceil(edge - 0.5)) for edge in box[2:])
     return f"columns {left} to {right}, rows {top} to {bottom}"

@@ -37,6 +37,7 @@ ADVICE = {
     **dict.fromkeys((".las", ".laz", ".e57"), "convert it to .ply, with CloudCompare or PDAL"),
     **dict.fromkeys((".fbx", ".blend", ".usd", ".usdz", ".dae", ".3ds"), "export it as .glb"),
     ".pcl": "convert it to .pcd or .ply", ".drc": "decode it to .ply: draco_decoder",
+    **dict.fromkeys((".png", ".jpg", ".jpeg"), "expected a cloud first, and its masks after it"),
 }  # fmt: skip
 # What files of a kind begin with -> their suffixes.
 _MAGIC = {

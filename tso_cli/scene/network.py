@@ -17,6 +17,7 @@ from ..geometry.arrays import Array, Pixels
 from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_ROTATION, Camera
 from ..geometry.view import View
 from ..io.checkpoints import load_network
+from ..io.clouds import SUFFIXES
 from ..io.images import read_image
 from ..io.views import NO_FILE, ViewFiles, load_views, require_same_size
 from ..losses.projection import project_differentiably
@@ -66,6 +67,8 @@ def load_network_scene(
     (view,), (origin,) = load_views(files)
     camera_file = origin.file
     view = as_meant(view, [INVERTED] if invert else [])
+    if Path(image_file).suffix.lower() in SUFFIXES:
+        raise InputError(f"{image_file}: is a cloud or mesh, expected a photo, or mode points")
     image = read_image(image_file)
     require_same_size(image_file, image.shape, files.masks[0], view.mask.shape)
     network, config = load_network(checkpoint)

@@ -73,9 +73,9 @@ def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path])
     several = f"{len(views)} view{'s' if len(views) > 1 else ''} ({listed})"
     if not any(_names_of(view) for view in views):
         return InputError(
-            f"{path}: holds {several}, which name no pictures, found {len(masks)} "
-            f"mask{'s' if len(masks) > 1 else ''}; expected as many; give a mask for each view, in "
-            "their order"
+            f"{path}: holds {len(views)} view{'s' if len(views) > 1 else ''} without names of "
+            f"pictures, found {len(masks)} mask{'s' if len(masks) > 1 else ''}; expected as many; "
+            "give a mask for each view, in their order"
         )
     for mask in masks:
         if not any(_same_stem(view, mask) for view in views):
