@@ -333,6 +333,22 @@ def confidence() -> str:
     return f"{markdown(header, rows)}\n\n{note}"
 
 
+def harm() -> str:
+    """What becomes of clouds in the troubles of the field, beside the paper's preset."""
+    summary = record("harm")["summary"]
+    names = {"default": "default", "shape": "`--move shape`", "paper": "`--preset paper`"}
+    starts = {"exact": "the right cloud", "other": "a cloud of another shape"}
+    ends = ("silent", "said", "gained", "withheld")
+    rows = [
+        [text, start, str(row["runs"]), *(f"{row[end]:.0f} %" for end in ends)]
+        for name, text in names.items()
+        for key, start in starts.items()
+        for row in [summary[name]["all"][key]]
+    ]
+    header = ["setting", "start", "runs", "worse, not said", "worse, said", "better", "gain left"]
+    return markdown(header, rows)
+
+
 def determined() -> str:
     """How much of a shape masks and depth maps fix, and how wrong the result is."""
     summary = record("determined")["summary"]
@@ -606,6 +622,7 @@ FIGURES = (
     depth,
     cameras,
     confidence,
+    harm,
     determined,
     network,
     photos,
