@@ -8,7 +8,7 @@ from tests.scenes import problem_of, seen
 from tso_cli import RefineConfig, refine
 from tso_cli.optimisation.learned_start import Beginning
 from tso_cli.optimisation.objective import PositionPrior
-from tso_cli.optimisation.optimise import firmness_after, optimise_points
+from tso_cli.optimisation.optimise import firmness_by, optimise_points
 from tso_cli.render import look_at
 
 
@@ -50,17 +50,21 @@ def test_a_start_that_is_right_stays(chair):
         assert (found.best_loss == found.first_loss) == right
 
 
-def test_where_the_learned_prior_moves_little_points_are_held_firmer(chair):
+def test_where_the_learned_prior_asks_for_little_points_are_held_firmer(chair):
     problem = problem_of(chair.points, chair.view)
     start = problem.cloud.start
     far = [
         np.square(optimise_points(problem, [1.0], 20, begin=begin).best - start).mean()
-        for begin in (None, Beginning(start))
+        for begin in (None, Beginning(start, asked=0.0))
     ]
     assert far[1] < 0.5 * far[0]
-    assert [firmness_after(moved) for moved in (0.0, 0.05, 0.1, 0.3)] == pytest.approx(
-        [16, 4, 1, 1]
-    )
+    firmness = [firmness_by(asked, masks_alone=True) for asked in (0.01, 0.05, 0.1, 0.3)]
+    assert firmness == pytest.approx([100.0, 4.0, 1.0, 1.0])
+    assert np.isfinite(firmness_by(0.0, masks_alone=True))
+
+
+def test_what_the_learned_prior_does_not_see_may_move_farther():
+    assert firmness_by(0.01, masks_alone=False) == pytest.approx(16.0)
 
 
 def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):

@@ -30,11 +30,13 @@ class Beginning:
 
     points : [N, 3].
     right : whether the learned prior finds that the start is right already.
-    sureness : of its first answer, `Answer.sureness`; None without one.
+    asked, sureness : of its first answer, None without one: how far it would move the points, a
+        root mean square in longest sides, and `Answer.sureness`.
     """
 
     points: Array
     right: bool = False
+    asked: float | None = None
     sureness: float | None = None
 
 
@@ -58,7 +60,7 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
     asked = root_mean_square(observed * first.displacements) / frame.scale
     # A start that the masks find right may be wrong by a depth map or a photo.
     if asked < RIGHT and problem.masks_alone:
-        return Beginning(start, True, first.sureness)
+        return Beginning(start, True, asked, first.sureness)
     points, lowest = start, targets.loss(start)[0]
     taken = observed * np.clip(lowest / targets.pixels, LEAST_SHARE, 1.0)
     for number in range(PASSES):
@@ -71,7 +73,7 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
         if not loss < lowest:
             break
         points, lowest = moved, loss
-    return Beginning(points, False, first.sureness)
+    return Beginning(points, False, asked, first.sureness)
 
 
 def _observed(start: Array, targets: ViewTargets) -> Array:

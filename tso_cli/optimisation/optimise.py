@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.arrays import Array, Indices
-from ..geometry.points import root_mean_square
 from ..losses.chamfer import ChamferToStart
 from ..losses.nearest import nearest_few
 from ..losses.photometric import Photo, PhotometricTerm
-from .learned_start import Beginning
+from .learned_start import RIGHT, Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import PositionPrior, SilhouetteObjective
 from .parameters import PointParameters
-from .presets import BEST_POINTS, FAR, FIRMEST, PRIOR_WEIGHT
+from .presets import BEST_POINTS, FAR, LEAST_SEEN, PRIOR_WEIGHT
 from .problem import Problem
 from .settings import Settings
 from .view_weights import weights_of
@@ -85,8 +84,8 @@ def optimise_points(
     begin : where the learned prior has moved the points; they are held there, else at the start.
     """
     start, firmness = problem.cloud.start, 1.0
-    if begin is not None:
-        firmness = firmness_after(root_mean_square(begin.points - start))
+    if begin is not None and begin.asked is not None:
+        firmness = firmness_by(begin.asked, problem.masks_alone)
     begin = begin or Beginning(start)
     photos = _photometric(problem, weights, begin.points)
     agreement = sum_of([problem.targets(weights).loss, *photos])
@@ -106,12 +105,13 @@ def optimise_points(
     )
 
 
-def firmness_after(moved: float) -> float:
-    """How many times as firmly points are held after the learned prior has ``moved`` them so far.
+def firmness_by(asked: float, masks_alone: bool) -> float:
+    """How many times as firmly points are held if the learned prior ``asked`` to move them so far.
 
-    moved : a root mean square, for a cloud of longest side 1.
+    asked : a root mean square, in longest sides.
     """
-    return float(np.clip((FAR / max(moved, FAR / FIRMEST)) ** 2, 1.0, FIRMEST))
+    least = RIGHT if masks_alone else LEAST_SEEN
+    return max((FAR / max(asked, least)) ** 2, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

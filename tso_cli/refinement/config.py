@@ -15,9 +15,9 @@ from ..optimisation.presets import (
     DEFAULTS,
     FEWEST_CONTROL_POINTS,
     MODES,
+    MORE_STEPS,
     PRESETS,
     SIGMA_SQ,
-    STEPS_WITHOUT_PRIOR,
     Mode,
     Preset,
 )
@@ -64,8 +64,8 @@ class RefineConfig:
         "learned" with "best" in points mode, else "none".
 
     The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
-    `DEFAULTS` in ``optimisation/presets.py``. Without a learned prior "best" takes 20 steps in
-    points mode.
+    `DEFAULTS` in ``optimisation/presets.py``. "best" takes 20 steps in points mode without a
+    learned prior, and with depth maps or photos.
 
     Raises
     ------
@@ -167,7 +167,7 @@ class RefineConfig:
         preset, smooth = DEFAULTS[self.preset, self.mode], self._smooth
         unlearned = smooth and str(self.prior) == NO_PRIOR
         defaults: dict[str, Any] = dict(
-            steps=STEPS_WITHOUT_PRIOR if unlearned else preset.steps,
+            steps=MORE_STEPS if unlearned else preset.steps,
             learning_rate=preset.learning_rate,
             gamma=preset.gamma,
             symmetry="auto" if smooth else "none",
