@@ -181,12 +181,14 @@ def _growth(problem: Placing, stretched: Placements) -> float:
     every cloud fits.
     """
     growth = float(stretched.growth[0])
+    if abs(growth) <= MOST_GROWN:
+        return growth
     exact = [replace(view, mask_error=None) for view in problem.normalised]
     of_both = Placements.joined([stretched, replace(stretched, growth=np.zeros(1))])
     missed, without = Comparison.of(problem.points, exact).missed(of_both)
-    if missed > LEFT_BY_OUTLINE * without:
-        growth = float(np.clip(growth, -MOST_GROWN, MOST_GROWN))
-    return growth
+    if missed <= LEFT_BY_OUTLINE * without:
+        return growth
+    return float(np.copysign(MOST_GROWN, growth))
 
 
 def missed_if_stretched(body: Body, views: Sequence[View]) -> float:
