@@ -12,7 +12,13 @@ from scipy.ndimage import distance_transform_edt
 from tests import oracles
 from tests.scenes import block
 from tso_cli.geometry.camera import NEAR
-from tso_cli.losses.mask_chamfer import COVERED_WITHIN, MaskTarget, mask_chamfer
+from tso_cli.losses.mask_chamfer import (
+    COVERED_WITHIN,
+    RESOLVED,
+    MaskTarget,
+    mask_chamfer,
+    resolved_share,
+)
 from tso_cli.optimisation.objective import ViewTarget, ViewTargets
 
 from .common import assert_equal, assert_gradient, by_autograd
@@ -25,6 +31,7 @@ LINE = np.where(ROWS == COLUMNS // 2 + 3, 0.3, 0.0)
 KNOWN = (RANDOM.random(DISC.shape) < 0.9).astype(float)
 LARGER_IMAGE = (-0.5, -2.3, 40.5, 30.0)
 
+PARTS = "parts that the mask hardly resolves"
 # Targets, and the camera's model.
 SCENES = {
     "one object": (MaskTarget.of(DISC), "perspective"),
@@ -44,6 +51,7 @@ SCENES = {
         "perspective",
     ),
     "a part of a larger image": (MaskTarget.of(DISC, bounds=LARGER_IMAGE), "perspective"),
+    PARTS: (MaskTarget.of(DISC), "perspective"),
 }
 
 
@@ -53,7 +61,8 @@ def _scene(name: str) -> tuple[ViewTargets, np.ndarray]:
     camera, pixels = camera_of(model), scattered()
     depth = np.random.default_rng(3).uniform(1.0, 3.0, len(pixels))
     depth[3:60:8] *= -1.0
-    views = ViewTargets((ViewTarget(camera, target, None, 0.7),))
+    resolved = np.random.default_rng(4).random(len(pixels)) if name == PARTS else None
+    views = ViewTargets((ViewTarget(camera, target, None, 0.7, resolved),))
     return views, points_at(pixels, camera, depth)
 
 
@@ -81,7 +90,17 @@ def _oracle(points: torch.Tensor, targets: ViewTargets) -> torch.Tensor:
     ]
     nearest = (own_pixel[:, None] - foreground).square().sum(2).argmin(1)
     outside = (pixels - foreground[nearest]).square().sum(1) * area * (1024.0 / len(points))
+    if view.resolved is not None:
+        outside = outside * torch.tensor(view.resolved)
     return view.weight * (uncovered + outside[on_background].sum())
+
+
+def _of_points(targets: ViewTargets, some: np.ndarray) -> ViewTargets:
+    """The targets for ``some`` points of the scene."""
+    (view,) = targets.views
+    return ViewTargets(
+        (view if view.resolved is None else replace(view, resolved=view.resolved[some]),)
+    )
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -101,8 +120,8 @@ def test_of_points_equally_near_the_first_is_drawn():
 @pytest.mark.parametrize("name", SCENES)
 def test_the_gradient_is_that_of_finite_differences(name):
     targets, points = _scene(name)
-    with_behind = np.concatenate([points[:12], points[-8:]])
-    assert_gradient(targets.loss, with_behind, 1e-7, 1e-4)
+    some = np.r_[:12, len(points) - 8 : len(points)]
+    assert_gradient(_of_points(targets, some).loss, points[some], 1e-7, 1e-4)
 
 
 @settings(max_examples=40, deadline=None)
@@ -110,6 +129,7 @@ def test_the_gradient_is_that_of_finite_differences(name):
 def test_any_points_cost_what_all_pairs_cost(places, name):
     targets, _ = _scene(name)
     points = points_of(places, targets.views[0].camera)
+    targets = _of_points(targets, np.arange(len(points)))
     value, gradient = targets.loss(points)
     if np.isfinite(value):
         expected = by_autograd(lambda leaf: _oracle(leaf, targets), points)[0]
@@ -146,6 +166,24 @@ def test_a_covered_mask_costs_nothing():
     )
     assert value == 0.0
     assert not gradient.any()
+
+
+def test_a_strip_of_0_7_px_hardly_counts_outside_the_mask_and_a_wide_one_fully():
+    """The share is the variance across, of pixels of the mask, over that of a resolved part."""
+    grid = np.stack(np.meshgrid(np.linspace(-5.0, 5.0, 41), np.linspace(-0.5, 0.5, 101)), -1)
+    strips = [grid.reshape(-1, 2) * [1.0, width] for width in (0.7, 3.0, 30.0)]
+    for scale in (1.0, 2.0):
+        share = resolved_share(scale * np.stack(strips), scale)
+        assert share[0] == pytest.approx(0.7**2 / 12.0 / RESOLVED**2, rel=0.05)
+        np.testing.assert_array_equal(share[1:], 1.0)
+
+
+def test_a_turned_part_is_resolved_as_it_was():
+    parts = np.random.default_rng(5).normal(size=(6, 24, 2)) * [3.0, 0.4]
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    share = resolved_share(parts)
+    assert 0.0 < share.min() <= share.max() < 1.0
+    np.testing.assert_allclose(resolved_share(parts @ turn + 7.0), share)
 
 
 def test_an_image_of_twice_the_size_costs_the_same():

@@ -93,8 +93,8 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
 @click.option(
     "--steps",
     type=options.Whole(0),
-    help="Optimiser steps; 0 leaves the shape.  [default: 5; 20 with --prior none, a depth map "
-    "or a photo; encoder modes 12, latent 30; paper 50]",
+    help="Optimiser steps; 0 leaves the shape.  [default: 20; encoder modes 12, latent 30; "
+    "paper 50]",
 )
 @click.option(
     "--learning-rate",

@@ -18,6 +18,8 @@ REFERENCE_SIDE = 64.0
 # A point covers a pixel if its distance, px, to the pixel's centre is at most this: half the
 # diagonal of a pixel, which is the largest distance from a point to the nearest centre.
 COVERED_WITHIN = 0.7
+# Standard deviation across a part, px, from which on pixels resolve it: a strip 2.8 px wide.
+RESOLVED = 0.8
 # The steps [9, 2] from a pixel to itself and to the eight around it.
 NEIGHBOURS = np.argwhere(np.ones((3, 3))) - 1
 # Points outside the mask weigh as if the cloud had this many points, because the density of a cloud
@@ -104,7 +106,9 @@ def sides(mask: Array, known: Array | None = None) -> tuple[Bits, Bits]:
     return inside, ~inside if known is None else ~inside & (known >= 0.5)
 
 
-def mask_chamfer(points_px: Array, valid: Bits, target: MaskTarget) -> tuple[float, Array]:
+def mask_chamfer(
+    points_px: Array, valid: Bits, target: MaskTarget, resolved: Array | None = None
+) -> tuple[float, Array]:
     """Attract points to uncovered foreground pixels, and points outside the mask to the mask.
 
     1. A foreground pixel attracts its nearest point if this point is further away than 0.7 px.
@@ -117,6 +121,7 @@ def mask_chamfer(points_px: Array, valid: Bits, target: MaskTarget) -> tuple[flo
     Parameters
     ----------
     points_px, valid : [N, 2] column and row, [N] bool.
+    resolved : [N] weights of points outside the mask (`resolved_share`); None for 1.
 
     Returns
     -------
@@ -132,10 +137,27 @@ def mask_chamfer(points_px: Array, valid: Bits, target: MaskTarget) -> tuple[flo
     for axis in (0, 1):
         gradient[:, axis] = np.bincount(owner, 2.0 * area**2 * of_pixels[:, axis], len(points_px))
     outside, of_points = _outside_mask(points_px, observed, target)
-    weight = REFERENCE_POINTS / len(points_px)
+    weight = np.full((len(outside), 1), REFERENCE_POINTS / len(points_px))
+    if resolved is not None:
+        weight *= resolved[outside, None]
     gradient[outside] += 2.0 * area * weight * of_points
-    squares = area * np.square(of_pixels).sum() + weight * np.square(of_points).sum()
+    squares = area * np.square(of_pixels).sum() + (weight * np.square(of_points)).sum()
     return float(area * squares), gradient
+
+
+def resolved_share(parts_px: Array, cells_per_mask_pixel: float = 1.0) -> Array:
+    """[N] how far pixels resolve the part of the cloud around each point, in [0, 1].
+
+    A part that is very thin, or seen edge-on, can lie outside the mask only because the mask has
+    lost it. ``parts_px`` [N, K, 2] are the projected neighbours of N points. Their variance across,
+    in pixels of the original mask (see `MaskTarget`), over that of a part that is fully resolved.
+    """
+    x, y = np.moveaxis(parts_px - parts_px.mean(1, keepdims=True), 2, 0)
+    xx, yy, xy = (np.einsum("nk,nk->n", *pair) for pair in ((x, x), (y, y), (x, y)))
+    # The smaller eigenvalue of the covariance is the variance across.
+    across = ((xx + yy) / 2.0 - np.hypot((xx - yy) / 2.0, xy)) / parts_px.shape[1]
+    share: Array = np.clip(across / (RESOLVED * cells_per_mask_pixel) ** 2, 0.0, 1.0)
+    return share
 
 
 def _uncovered(

@@ -8,7 +8,7 @@ window around the object), a `MaskTarget` (what the loss looks up in the cells),
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,14 +20,15 @@ from ..losses.mask_chamfer import (
     REFERENCE_POINTS,
     MaskTarget,
     mask_chamfer,
+    resolved_share,
 )
+from ..losses.nearest import nearest_few
 from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
 from .resampled_view import ResampledView
 
-# A depth map says where a point is, and a mask only that some point is there: so a depth counts
-# for more mask pixels than one. With more, noise of 3 % of the object makes near clouds worse.
-DEPTH_WEIGHT = 4.0
+# The part around a point is so many of the nearest points.
+PART = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,12 +63,16 @@ def silhouette_loss(points: Array, view: ResampledView, camera: Camera) -> tuple
 
 @dataclass(frozen=True, eq=False)
 class ViewTarget:
-    """A view's mask and depth map, prepared for the losses, and the weight of the view's loss."""
+    """A view's mask and depth map, prepared for the losses, and the weight of the view's loss.
+
+    ``resolved`` [N] is how far the mask resolves the part around each point; None for fully.
+    """
 
     camera: Camera
     mask: MaskTarget
     depth: DepthTarget | None
     weight: float
+    resolved: Array | None = None
 
     @classmethod
     def of(cls, view: ResampledView, weight: float) -> ViewTarget:
@@ -79,11 +84,13 @@ class ViewTarget:
     def loss(self, points: Array) -> tuple[float, Array]:
         """The losses of mask and depth map, without the view's weight, and their gradient."""
         projected = project_differentiably(points, self.camera)
-        value, by_pixels = mask_chamfer(projected.points_px, projected.valid, self.mask)
+        value, by_pixels = mask_chamfer(
+            projected.points_px, projected.valid, self.mask, self.resolved
+        )
         gradient = projected.pull_back(by_pixels)
         if self.depth is not None:
             more, further = depth_loss(points, projected, self.depth)
-            value, gradient = value + DEPTH_WEIGHT * more, gradient + DEPTH_WEIGHT * further
+            value, gradient = value + more, gradient + further
         return value, gradient
 
 
@@ -106,6 +113,17 @@ class ViewTargets:
             view.weight * (view.mask.pixels + (view.depth.pixels if view.depth else 0.0))
             for view in self.views
         )
+
+    def resolving(self, points: Array) -> ViewTargets:
+        """The same, where parts of a cloud [N, 3] count as far as each mask resolves them."""
+        near = nearest_few(points, points, min(PART, len(points)))
+
+        def resolved(view: ViewTarget) -> ViewTarget:
+            parts = project_differentiably(points, view.camera).points_px[near]
+            share = resolved_share(parts, view.mask.cells_per_mask_pixel)
+            return replace(view, resolved=share)
+
+        return ViewTargets(tuple(map(resolved, self.views)))
 
     def loss(self, points: Array) -> tuple[float, Array]:
         """Weighted sum over views of `mask_chamfer` and, where there are maps, of `depth_loss`.

@@ -15,7 +15,7 @@ from .learned_start import RIGHT, Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import PositionPrior, SilhouetteObjective
 from .parameters import PointParameters
-from .presets import BEST_POINTS, FAR, LEAST_SEEN, PRIOR_WEIGHT
+from .presets import BEST_POINTS, FAR, PRIOR_WEIGHT
 from .problem import Problem
 from .settings import Settings
 from .view_weights import weights_of
@@ -85,10 +85,11 @@ def optimise_points(
     """
     start, firmness = problem.cloud.start, 1.0
     if begin is not None and begin.asked is not None:
-        firmness = firmness_by(begin.asked, problem.masks_alone)
+        firmness = firmness_by(begin.asked)
     begin = begin or Beginning(start)
     photos = _photometric(problem, weights, begin.points)
-    agreement = sum_of([problem.targets(weights).loss, *photos])
+    targets = problem.finely_around(begin.points).targets(weights).resolving(begin.points)
+    agreement = sum_of([targets.loss, *photos])
     held = PositionPrior(begin.points, firmness * PRIOR_WEIGHT)
     parameters = PointParameters(begin.points, learning_rate)
     found = minimise(parameters, sum_of([agreement, held]), steps, on_progress)
@@ -105,13 +106,12 @@ def optimise_points(
     )
 
 
-def firmness_by(asked: float, masks_alone: bool) -> float:
+def firmness_by(asked: float) -> float:
     """How many times as firmly points are held if the learned prior ``asked`` to move them so far.
 
     asked : a root mean square, in longest sides.
     """
-    least = RIGHT if masks_alone else LEAST_SEEN
-    return max((FAR / max(asked, least)) ** 2, 1.0)
+    return max(FAR / max(asked, RIGHT), 1.0)
 
 
 @dataclass(frozen=True, eq=False)

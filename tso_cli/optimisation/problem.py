@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..cloud.cloud import ControlledCloud
 from ..errors import InputError
+from ..geometry.arrays import Array
 from ..geometry.view import View
 from ..geometry.window import window_of
 from .objective import ViewTargets
-from .resampled_view import ResampledView, resample_view
+from .resampled_view import CELLS, FINE_CELLS, ResampledView, resample_view
 from .settings import Settings
 from .symmetry import SymmetryDecision, decide_symmetry
 
@@ -51,7 +52,8 @@ class Problem:
         views, plane = tuple(views), symmetry.plane
         flipped = () if plane is None else tuple(map(plane.flipped, views))
         given, mirrored = (
-            tuple(_windowed(view, cloud, sigma_sq) for view in some) for some in (views, flipped)
+            tuple(_windowed(view, cloud, sigma_sq, cloud.control_points) for view in some)
+            for some in (views, flipped)
         )
         return cls(cloud, given, mirrored, symmetry, sigma_sq)
 
@@ -64,6 +66,22 @@ class Problem:
     def resampled(self) -> list[ResampledView]:
         """The views that were given, then the flipped ones."""
         return [windowed.resampled for windowed in (*self.given, *self.flipped)]
+
+    def finely_around(self, points: Array) -> Problem:
+        """The same with windows of finer cells around normalised ``points`` [N, 3].
+
+        A cloud that starts far from its mask has a large window, which would resolve little after
+        the learned prior has moved the cloud.
+        """
+        around = self.cloud.denormalise(points)
+        given, flipped = (
+            tuple(
+                _windowed(windowed.view, self.cloud, self.sigma_sq, around, FINE_CELLS)
+                for windowed in some
+            )
+            for some in (self.given, self.flipped)
+        )
+        return replace(self, given=given, flipped=flipped)
 
     def targets(self, weights: Sequence[float]) -> ViewTargets:
         """Of all views; ``weights`` are of the given views, and count for the flipped ones too."""
@@ -90,10 +108,12 @@ def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -
     return Problem.of(cloud, views, symmetry, settings.sigma_sq)
 
 
-def _windowed(view: View, cloud: ControlledCloud, sigma_sq: float) -> WindowedView:
-    """A view in its window around mask and cloud."""
-    box = window_of(view, cloud.control_points)
-    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box))
+def _windowed(
+    view: View, cloud: ControlledCloud, sigma_sq: float, points: Array, cells: int = CELLS
+) -> WindowedView:
+    """A view in its window around the mask and ``points`` [N, 3], in the unit of the source."""
+    box = window_of(view, points)
+    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box, cells))
 
 
 def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> None:

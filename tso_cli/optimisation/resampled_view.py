@@ -15,8 +15,9 @@ from ..geometry.view import View
 from ..geometry.window import window_of
 from ..losses.mask_chamfer import REFERENCE_SIDE, MaskTarget
 
-# Cells along the side of a window.
-CELLS = 64
+# Cells along the side of a window, and where points move: several masks together show more detail
+# than the cells of one. In a small mask each pixel has several cells.
+CELLS, FINE_CELLS = 64, 128
 
 
 @dataclass(frozen=True, eq=False)

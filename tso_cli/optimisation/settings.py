@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ..pose.asked import Asked, Keep
-from .presets import MORE_STEPS, Mode, Preset
+from .presets import Mode, Preset
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,6 @@ class Settings:
     points: int | None
     prior: str
     given: frozenset[str]
-
-    def for_evidence(self, masks_alone: bool) -> Settings:
-        """The same, with more steps by default where there are depth maps or photos."""
-        if masks_alone or not self.smooth or "steps" in self.given:
-            return self
-        return replace(self, steps=MORE_STEPS)
 
     @property
     def smooth(self) -> bool:

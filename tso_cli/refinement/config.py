@@ -15,7 +15,6 @@ from ..optimisation.presets import (
     DEFAULTS,
     FEWEST_CONTROL_POINTS,
     MODES,
-    MORE_STEPS,
     PRESETS,
     SIGMA_SQ,
     Mode,
@@ -64,8 +63,7 @@ class RefineConfig:
         "learned" with "best" in points mode, else "none".
 
     The defaults of ``steps``, ``learning_rate`` and ``gamma``, by preset and mode, are the table
-    `DEFAULTS` in ``optimisation/presets.py``. "best" takes 20 steps in points mode without a
-    learned prior, and with depth maps or photos.
+    `DEFAULTS` in ``optimisation/presets.py``.
 
     Raises
     ------
@@ -165,9 +163,8 @@ class RefineConfig:
     def settings(self) -> Settings:
         """The same with the preset's values in place of None."""
         preset, smooth = DEFAULTS[self.preset, self.mode], self._smooth
-        unlearned = smooth and str(self.prior) == NO_PRIOR
         defaults: dict[str, Any] = dict(
-            steps=MORE_STEPS if unlearned else preset.steps,
+            steps=preset.steps,
             learning_rate=preset.learning_rate,
             gamma=preset.gamma,
             symmetry="auto" if smooth else "none",

@@ -49,7 +49,6 @@ def run(
     with clock.phase("prepare"):
         problem = prepare(cloud, scene.views, settings)
         require_plane_through(problem, settings.symmetry)
-        settings = settings.for_evidence(problem.masks_alone)
         weighed = weigh(problem, settings)
     idle = diagnosis.fits or bool(diagnosis.of_input and not settings.accept_doubtful)
     begin = None
