@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tso_cli.evaluation.metrics import chamfer
 from tso_cli.lab.studies.cases import CaseBuilder
 from tso_cli.lab.studies.evidence import (
     PLANES,
@@ -17,9 +16,6 @@ from tso_cli.lab.studies.evidence import (
 )
 from tso_cli.lab.studies.evidence_alterations import (
     Truth,
-    paint_of,
-    painted,
-    photo,
     unaltered,
     with_depth,
     without,
@@ -83,33 +79,6 @@ def test_an_object_that_lacks_a_part_lacks_it_in_truth_and_masks_and_keeps_its_s
     # A face that reaches across the limit goes or stays as a whole.
     left = 0.4 if part == "side" else 1.0
     assert (lacking.dense[:, axis] > 0.12).mean() < left * (whole.dense[:, axis] > 0.12).mean()
-
-
-def test_a_bent_cloud_is_as_far_off_as_the_row_says_and_keeps_its_paint(cases, truths):
-    for level in (2, 6):
-        case = painted(cases["chair"], truths["chair"], rng(), f"bent {level}", 1.0)
-        assert 1e3 * chamfer(case.initial, case.target).chamfer == pytest.approx(level, rel=0.02)
-        assert case.colours.shape == case.initial.shape
-    mask_alone = painted(cases["chair"], truths["chair"], rng(), "bent 6", None)
-    np.testing.assert_array_equal(mask_alone.initial, case.initial)
-    assert all(view.image is None for view in mask_alone.views)
-
-
-def test_a_photo_shows_the_paint_of_what_is_seen_shaded_on_white(cases, truths):
-    view, paint = cases["chair"].views[0], paint_of(rng())
-    light = view.camera.R.T @ [0.0, 0.0, -1.0]
-    image = photo(truths["chair"].scene, view, paint, light)
-    seen = with_depth(cases["chair"], truths["chair"], rng()).views[0]
-    inside = np.isfinite(seen.depth) & (seen.mask > 0.5)
-    tones = paint(lifted(seen))
-    # One colour alone: the same shade for all three, but at edges of the paint.
-    shades = image[inside] / tones
-    assert np.median(np.ptp(shades, axis=1)) < 0.05
-    assert 0.3 <= np.quantile(shades, 0.1) < np.quantile(shades, 0.9) <= 1.05
-    far = np.ones_like(view.mask, dtype=bool)
-    for rows, columns in zip(*np.nonzero(view.mask > 0.0), strict=True):
-        far[max(rows - 1, 0) : rows + 2, max(columns - 1, 0) : columns + 2] = False
-    assert np.median(image[far]) == 1.0
 
 
 @pytest.mark.slow

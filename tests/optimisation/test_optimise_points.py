@@ -59,9 +59,13 @@ def test_where_the_learned_prior_asks_for_little_points_are_held_firmer(chair):
         for begin in (None, Beginning(start, asked=0.0))
     ]
     assert far[1] < 0.5 * far[0]
-    firmness = [firmness_by(asked) for asked in (0.01, 0.05, 0.1, 0.3)]
+    firmness = [firmness_by(asked, masks_alone=True) for asked in (0.01, 0.05, 0.1, 0.3)]
     assert firmness == pytest.approx([10.0, 2.0, 1.0, 1.0])
-    assert np.isfinite(firmness_by(0.0))
+    assert np.isfinite(firmness_by(0.0, masks_alone=True))
+
+
+def test_what_the_learned_prior_does_not_see_may_move_farther():
+    assert firmness_by(0.01, masks_alone=False) == firmness_by(0.035, masks_alone=True)
 
 
 def test_the_position_prior_is_a_weighted_square_with_its_gradient(chair):

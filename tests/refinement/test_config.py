@@ -17,10 +17,6 @@ def test_a_thousand_points_move_by_default_and_all_with_the_papers_preset(config
     assert config.settings().points == points
 
 
-def test_without_the_learned_prior_the_optimiser_takes_more_steps():
-    assert RefineConfig(prior="none").settings().steps > RefineConfig().settings().steps
-
-
 @pytest.mark.parametrize(
     ("settings", "named"),
     [

@@ -230,7 +230,7 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     "--image",
     type=PATH,
     multiple=True,
-    help="Photo of the mask, for a photometric loss on a cloud with colours. For other clouds, "
+    help="Photo of the mask. It decides between poses of a cloud with colours. For other clouds, "
     "--report, --overlay and --rerun only show it.",
 )
 @options.output(

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..geometry.arrays import Array, Bits, Indices
-from ..losses.depth import DepthTarget
-from ..losses.mask_chamfer import REFERENCE_POINTS, MaskTarget, robust
+from ..losses.depth import DepthTarget, robust
+from ..losses.mask_chamfer import REFERENCE_POINTS, MaskTarget
 from ..losses.nearest import nearest, nearest_few
 from ..losses.projection import project_differentiably
 from ..optimisation.objective import ViewTarget

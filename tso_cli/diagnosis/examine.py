@@ -118,11 +118,10 @@ def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Mov
         return diagnosis
     if move.causes:
         return replace(diagnosis, of_input=findings_of_causes(move.causes, views))
-    fits = move.fits and all(view.image is None for view in views)
-    if contradicted := depth_that_contradicts(body, views, fits):
+    if contradicted := depth_that_contradicts(body, views, move.fits):
         return replace(diagnosis, of_input=contradicted)
-    if fits or np.isnan(move.missed):
-        return replace(diagnosis, fits=fits)
+    if move.fits or np.isnan(move.missed):
+        return replace(diagnosis, fits=move.fits)
     parts = parts_that_explain(body, views, move)
     if not parts:
         return diagnosis

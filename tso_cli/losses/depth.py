@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..geometry.arrays import Array
 from ..geometry.camera import Camera
-from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE, robust
+from .mask_chamfer import REFERENCE_POINTS, REFERENCE_SIDE
 from .nearest import nearest
 from .projection import Projected, pixels_under
 
@@ -111,3 +111,12 @@ def depth_loss(points: Array, projected: Projected, target: DepthTarget) -> tupl
     weight = REFERENCE_POINTS / len(points)
     by_depth = np.where(before, -2.0 * weight * slope * ahead * per_unit, 0.0)
     return value + weight * float(cost.sum()), gradient + by_depth[:, None] * direction
+
+
+def robust(squared: Array, robust_scale: float) -> tuple[Array, Array]:
+    """The cost ``rho`` (Geman and McClure) of squared distances, and its derivative by them.
+
+    A small distance costs its square; no distance costs more than ``robust_scale`` squared.
+    """
+    inlier = robust_scale**2 / (robust_scale**2 + squared)
+    return squared * inlier, np.square(inlier)

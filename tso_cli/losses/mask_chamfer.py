@@ -198,12 +198,3 @@ def _outside_mask(
     (outside,) = np.nonzero(compared & target.outside.ravel()[pixel])
     row, column = target.nearest_foreground.reshape(-1, 2)[pixel[outside]].T
     return outside, points_px[outside] - np.stack([column, row], 1)
-
-
-def robust(squared: Array, robust_scale: float) -> tuple[Array, Array]:
-    """The cost ``rho`` (Geman and McClure) of squared distances, and its derivative by them.
-
-    A small distance costs its square; no distance costs more than ``robust_scale`` squared.
-    """
-    inlier = robust_scale**2 / (robust_scale**2 + squared)
-    return squared * inlier, np.square(inlier)

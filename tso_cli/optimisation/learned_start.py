@@ -58,7 +58,7 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
         return Beginning(start)
     first, observed = answer, _observed(start, targets)
     asked = root_mean_square(observed * first.displacements) / frame.scale
-    # A start that the masks find right may be wrong by a depth map or a photo.
+    # A start that the masks find right may be wrong by a depth map.
     if asked < RIGHT and problem.masks_alone:
         return Beginning(start, True, asked, first.sureness)
     points, lowest = start, targets.loss(start)[0]

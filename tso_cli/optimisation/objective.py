@@ -27,7 +27,7 @@ from ..losses.projection import project_differentiably
 from ..losses.silhouette import silhouette_bce
 from .resampled_view import ResampledView
 
-# The part around a point is so many of the nearest points.
+# Nearest points that are the part of a cloud around a point.
 PART = 24
 
 

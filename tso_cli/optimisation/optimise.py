@@ -5,23 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from ..geometry.arrays import Array, Indices
+from ..geometry.arrays import Array
 from ..losses.chamfer import ChamferToStart
-from ..losses.nearest import nearest_few
-from ..losses.photometric import Photo, PhotometricTerm
 from .learned_start import RIGHT, Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import PositionPrior, SilhouetteObjective
 from .parameters import PointParameters
-from .presets import BEST_POINTS, FAR, PRIOR_WEIGHT
+from .presets import BEST_POINTS, FAR, LEAST_SEEN, PRIOR_WEIGHT
 from .problem import Problem
 from .settings import Settings
 from .view_weights import weights_of
-
-# Points that move alike by a photo: the detail of one point alone fits many places.
-NEIGHBOURS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,16 +78,14 @@ def optimise_points(
     """
     start, firmness = problem.cloud.start, 1.0
     if begin is not None and begin.asked is not None:
-        firmness = firmness_by(begin.asked)
+        firmness = firmness_by(begin.asked, problem.masks_alone)
     begin = begin or Beginning(start)
-    photos = _photometric(problem, weights, begin.points)
     targets = problem.finely_around(begin.points).targets(weights).resolving(begin.points)
-    agreement = sum_of([targets.loss, *photos])
     held = PositionPrior(begin.points, firmness * PRIOR_WEIGHT)
     parameters = PointParameters(begin.points, learning_rate)
-    found = minimise(parameters, sum_of([agreement, held]), steps, on_progress)
+    found = minimise(parameters, sum_of([targets.loss, held]), steps, on_progress)
     # Compared without the position prior, which may hold the cloud elsewhere than at its start.
-    loss_at_start, loss_at_best = agreement(start)[0], agreement(found.best)[0]
+    loss_at_start, loss_at_best = targets.loss(start)[0], targets.loss(found.best)[0]
     better = loss_at_best < loss_at_start and not begin.right
     return replace(
         found,
@@ -106,12 +97,13 @@ def optimise_points(
     )
 
 
-def firmness_by(asked: float) -> float:
+def firmness_by(asked: float, masks_alone: bool) -> float:
     """How many times as firmly points are held if the learned prior ``asked`` to move them so far.
 
     asked : a root mean square, in longest sides.
     """
-    return max(FAR / max(asked, RIGHT), 1.0)
+    least = RIGHT if masks_alone else LEAST_SEEN
+    return max(FAR / max(asked, least), 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,30 +114,3 @@ class _Times:
     def __call__(self, points: Array) -> tuple[float, Array]:
         value, gradient = self.term(points)
         return self.weight * value, self.weight * gradient
-
-
-@dataclass(frozen=True, eq=False)
-class _Smoothed:
-    """A term whose gradient is averaged twice over the points ``near`` [N, k] each point."""
-
-    term: Term
-    near: Indices
-
-    def __call__(self, points: Array) -> tuple[float, Array]:
-        value, gradient = self.term(points)
-        return value, gradient[self.near].mean(1)[self.near].mean(1)
-
-
-def _photometric(problem: Problem, weights: Sequence[float], points: Array) -> list[Term]:
-    """The terms of the photos of the given views at ``points``, if the cloud has colours."""
-    if problem.cloud.colours is None:
-        return []
-    colours = np.asarray(problem.cloud.colours, dtype=np.float64)
-    near = nearest_few(points, points, min(NEIGHBOURS, len(points)))
-    terms: list[Term] = []
-    for windowed, weight in zip(problem.given, weights, strict=True):
-        view = windowed.resampled
-        if view.image is not None:
-            photo = Photo(view.image, view.target.inside, view.camera, weight)
-            terms.append(_Smoothed(PhotometricTerm.at(photo, colours, points), near))
-    return terms

@@ -93,14 +93,14 @@ class Problem:
 
     @property
     def masks_alone(self) -> bool:
-        """Whether no view has a depth map or a photo."""
-        return all(view.depth is None and view.image is None for view in self.views)
+        """Whether no view has a depth map."""
+        return all(view.depth is None for view in self.views)
 
 
 def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> Problem:
     """The problem of a cloud and ``views`` in its axes, with a mirror plane if the cloud has one.
 
-    Raises InputError where the mode cannot use depth maps or photos, or a mask has no foreground
+    Raises InputError where the mode cannot use depth maps or images, or a mask has no foreground
     in its window.
     """
     _require_supported(cloud, views, settings)

@@ -33,8 +33,6 @@ class ResampledView:
     truncated : whether the image border truncates the object, by the pixels of the `View`. In cells
         more objects touch the border.
     depth : [h, h] normalised, NaN where unknown; None without a depth map.
-    image : [h, h, 3] mean colour of the foreground in each cell, 0 without foreground; None
-        without an image.
     """
 
     mask: Array
@@ -45,7 +43,6 @@ class ResampledView:
     bounds: Box
     truncated: bool
     depth: Array | None = None
-    image: Array | None = None
 
     @property
     def cells_per_mask_pixel(self) -> float:
@@ -106,16 +103,11 @@ def resample_view(
     box = window_of(view) if box is None else box
     camera = view.camera.cropped(box, cells, cells)
     mask, weight = area_resize(view.mask, box, cells, cells, weights=view.known, interpolate=True)
-    image = None
-    if view.image is not None:
-        image = area_resize(view.image, box, cells, cells, weights=view.inside, interpolate=True)[0]
     depth = None if view.depth is None else nearest_resize(view.depth, box, cells) / scale
     known = None if view.known is None and weight.min() >= 1.0 - 1e-9 else weight
     bounds = _image_bounds(box, view.camera, cells)
     normalised = camera.for_normalised(centre, scale)
-    resampled = ResampledView(
-        mask, known, normalised, sigma_sq, box, bounds, view.truncated, depth, image
-    )
+    resampled = ResampledView(mask, known, normalised, sigma_sq, box, bounds, view.truncated, depth)
     if not resampled.target.inside.any():
         raise InputError(
             f"{view.name}: no cell of its window of {cells}x{cells} is known to be foreground, "

@@ -145,8 +145,6 @@ def find_likely_move(
     given = float(problem.comparison.missed(Placements.unmoved())[0])
     if given < FITS:
         return unmoved(views, "the cloud fits the contours where it is", given)
-    if any(view.image is not None for view in views):
-        return unmoved(views, "a photo may contradict the contours", given)
     # Of size and distance, the distance stays: it is longer than the object, so that a wrong
     # distance is a larger error than a wrong size.
     keep = "distance" if keep == "auto" and not problem.both_found else keep

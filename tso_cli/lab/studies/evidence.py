@@ -19,7 +19,7 @@ from ..charts import Panel, draw_ratios
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from . import evidence_maps
 from .cases import Case, CaseBuilder, kinds_of
-from .evidence_alterations import Alter, Truth, painted, unaltered, with_depth, without
+from .evidence_alterations import Alter, Truth, unaltered, with_depth, without
 from .refining import Variant, refined
 from .shapes import Shape, shapes_of_part
 from .summary import grouped, rounded, summarised
@@ -72,16 +72,6 @@ DEPTH_ROWS: Rows = {
     "two masks, no symmetry": (unaltered, TWO),
     "two masks and their depths, no symmetry": (with_depth, TWO),
 }
-STARTS_OF_PAINT = {
-    "bent 2": "bent to Chamfer 2",
-    "bent 6": "bent to Chamfer 6",
-    "other": "another shape, other colours",
-}
-PHOTOS = {None: "mask", 0.7: "mask and photo, exposure 0.7", 1.4: "mask and photo, exposure 1.4"}
-COLOUR_ROWS: Rows = {
-    f"{label}; {photo}": (partial(painted, start=start, exposure=exposure), ONE)
-    for (start, label), (exposure, photo) in product(STARTS_OF_PAINT.items(), PHOTOS.items())
-}
 LACKING: dict[str, Alter] = {
     "whole": unaltered,
     "one side missing": partial(without, part="side"),
@@ -97,7 +87,6 @@ MISSING_ROWS: Rows = {
 THREE = ("chair", "airplane", "car")
 QUESTIONS = {
     "depth": Question("Depth maps", ("other", "near"), DEPTH_ROWS, THREE),
-    "colours": Question("Photos of painted objects", ("other",), COLOUR_ROWS, THREE),
     "missing": Question(
         "Objects that lack a part",
         ("other",),
@@ -227,16 +216,15 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="evidence",
-    about="Depth maps (depth), photos of painted objects (colours), objects that lack a part "
-    "(missing), and depth maps that hold something else than depth (maps).",
+    about="Depth maps (depth), objects that lack a part (missing), and depth maps that hold "
+    "something else than depth (maps).",
     parts=("pictures", "points, best"),
     tables=tables,
     draw=draw,
     reading="Each question alters cases in one way and compares rows that see the same random "
-    "numbers. Right evidence helps: more masks, depth, a photo of an object whose colours are "
-    "known. Where an object lacks a part that its start has, a mirror plane gains less, and does "
-    "harm to few. A depth map that holds something else is mostly named or left out; a map of "
-    "another picture often is not.",
+    "numbers. Right evidence helps: more masks, and depth. Where an object lacks a part that its "
+    "start has, a mirror plane gains less, and does harm to few. A depth map that holds something "
+    "else is mostly named or left out; a map of another picture often is not.",
     convention=CONVENTION,
     options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
