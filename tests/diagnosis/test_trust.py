@@ -93,7 +93,9 @@ ROWS = {
     ),
     "move": (
         {"placed": True, "asked": True},
-        doubtful("move", "the cloud misses 10% of the contours in its new place too", True),
+        doubtful(
+            "move", "the cloud missed 50% of the contours, and misses 10% in its new place", True
+        ),
     ),
     "explained": (
         {"placed": True, "asked": True, "explains": True, "confidence": 0.5},

@@ -230,8 +230,8 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
     "--image",
     type=PATH,
     multiple=True,
-    help="Photo of the mask. It decides between poses of a cloud with colours. For other clouds, "
-    "--report, --overlay and --rerun only show it.",
+    help="Photo of the mask. With --camera fit it decides between poses of a cloud with colours. "
+    "Otherwise --report, --overlay and --rerun only show it.",
 )
 @options.output(
     "Refined cloud.  [default: SOURCESTEM.refined.ply, or .glb, .gltf or .obj as the input, in the "

@@ -32,7 +32,7 @@ OUTVOTED_SHARE = 0.5
 # What is said where nothing explains why cloud and mask do not meet.
 AXES_ADVICE = (
     "check the camera's axes (OpenCV: x right, y down, z forward; X_camera = R X_world + t) and "
-    "units (K in pixels)"
+    "units (K in pixels), and that the mask shows most of the object"
 )
 
 

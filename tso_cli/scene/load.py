@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 Placing = Literal["silhouette", "box", "camera"]
 ONLY_SHOWN = "the cloud has no colours: the photo is shown, and does not guide the result"
+WITHOUT_FIT = "the photo is only shown: it guides the fit of a camera alone"
 Y_UP = (".glb", ".gltf")  # by the definition of glTF
 MIRRORED = " (mirrored with its mask: the cloud has left-handed axes)"
 
@@ -99,6 +100,8 @@ def load_points_scene(
     paint = file.paint() if wanted else None
     cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), False, file.faint(), paint)
     if not files.image or colours is not None or cloud.paint is not None:
+        if files.image and fit is None:
+            warnings.warn(WITHOUT_FIT, stacklevel=2)
         return _scene_of(cloud, file, files, assumptions, fit)
     warnings.warn(ONLY_SHOWN, stacklevel=2)
     scene = _scene_of(cloud, file, replace(files, any_size=True), assumptions, fit)

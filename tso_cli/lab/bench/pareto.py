@@ -39,7 +39,7 @@ CONVENTION = {
     "ratio": "Chamfer distance after / before, mean of the cases' ratios; squared distances, mean "
     "over points, both directions added, longest side 1, to as many target points",
     "standard error": "of the mean over shapes",
-    "seconds": "one call alone, after a warm-up, one thread, compiled loops (as for many objects "
+    "seconds": "one call alone, after a warm-up, one thread (as for many objects "
     "in a process), without files; median over the cases",
     "front": "a way with one mask is on it if no other takes no longer and comes as near",
     "published": "the paper's figures, 3 to 6 % nearer in about a second, on its authors' data and "

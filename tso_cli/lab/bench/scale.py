@@ -62,7 +62,7 @@ PLUGIN = {
 }
 CONVENTION = {
     "items": "clouds of 1,024 points, the shipped starts bent at random, one mask of 256x256 each",
-    "shell loop": "`tso refine` once for each item, one after the other, compiled loops",
+    "shell loop": "`tso refine` once for each item, one after the other",
     "kills": "SIGKILL, SIGTERM or SIGINT to the batch, SIGKILL to processes of it, or both, at "
     "random moments; then the same command again",
     "memory": "resident, of the batch and all its processes together, shared pages counted in each",

@@ -42,7 +42,7 @@ ACCEPTING = RefineConfig(accept_doubtful=True)
 RIGHT_SHARE = 0.5
 PENALTIES, FOLDS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2), 5
 """Of squared slopes, of which the fit takes what predicts shapes best that it did not see."""
-LIMITS = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9)
+LIMITS = (0.5, 0.6, 0.7, 0.8, LEAST_CONFIDENCE, 0.9)
 BINS = 10
 REFUSED = {"ratio": 1.0, "confidence": 0.0, "moved": False, "finding": True, "flagged": True}
 REFUSED |= {"left": True, "iou_gain": 0.0}
