@@ -61,11 +61,13 @@ class Subset:
         A point takes the weighted mean of its nearest control points, as it would take the mean of
         a field's nodes. Outliers stay.
         """
+        of_all = np.zeros((len(self._inliers), 3))
+        if not displacements.any():
+            return of_all
         of_points = np.empty_like(self._points)
         if self.partial:
             of_points = self._interpolated(self._points, displacements)
         of_points[self._chosen] = displacements
-        of_all = np.zeros((len(self._inliers), 3))
         of_all[self._inliers] = of_points
         if self._followers is not None:
             further = self._all_points[self._followers]
