@@ -111,9 +111,9 @@ def _draw_boxes(axes: Axes) -> None:
     axes.set_ylim(0.6, 2.7)
     axes.axis("off")
     steps = (
-        ("examine", "do cloud, masks and\ncameras belong together?\nfindings are reported"),
-        ("prepare", "control points, windows,\nweights of the views,\nmirror plane"),
-        ("verify", "short optimisations test\nweak hypotheses"),
+        ("explain", "why do cloud and masks\ndiffer? findings, place,\ncamera, mask, or shape"),
+        ("prepare", "control points, windows,\nweights of the views"),
+        ("mirror", "with a mirror plane, each\nmask is a second view\nof the object"),
         ("move", "the learned prior moves\nthe start to a likely shape\nthat the masks show"),
         ("optimise", "steps of the points make\npoints and masks agree"),
         ("judge", "confidence and verdict:\ntake the displacement\nor leave it"),
