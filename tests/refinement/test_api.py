@@ -214,7 +214,6 @@ def test_what_is_no_array_of_real_numbers_is_an_input_error_wherever_it_is_given
         partial(refine, points, [value], camera),
         partial(refine, points, mask, value),
         partial(refine, points, mask, camera, faces=value),
-        partial(refine, points, mask, camera, colours=value),
         partial(refine, points, mask, camera, config=value),
         partial(refine, points, mask, camera, assume=[value]),
         partial(View, value, camera),

@@ -59,11 +59,9 @@ def test_views_with_and_without_a_depth_map_add_up_by_their_weights():
 
 
 def test_a_photo_bends_no_shape():
-    """What it shows of a surface's paint moves points along the surface, which no Chamfer sees."""
-    points, colours = sheet(2.0)
-    start = points * [0.95, 1.0, 1.0]
+    start = sheet(2.0)[0] * [0.95, 1.0, 1.0]
     alone, with_photo = (
-        refine(start, View(MASK, CAMERA, image=image), config=CONFIG, colours=colours).points
+        refine(start, View(MASK, CAMERA, image=image), config=CONFIG).points
         for image in (None, photo(0.7))
     )
     np.testing.assert_array_equal(with_photo, alone)
@@ -102,30 +100,7 @@ def test_unusable_depth_maps_and_images_are_refused(parts, words):
     assert_refused(words, View, **(dict(mask=MASK, camera=CAMERA) | parts))
 
 
-def test_what_a_refinement_cannot_use_is_refused():
-    points, colours = sheet(3.0)
-    view, paper = View(MASK, CAMERA, image=photo()), RefineConfig(preset="paper")
-    for scene, colour, config, words in (
-        (
-            TILTED,
-            None,
-            paper,
-            "a depth map, expected mode points with preset best, found points with paper",
-        ),
-        (
-            view,
-            colours,
-            paper,
-            "an image, expected mode points with preset best, found points with paper",
-        ),
-        (view, None, None, "expected a cloud with colours, found none"),
-        (view, colours[:2], None, r"colours have shape \[2, 3\], expected \[324, 3\]"),
-        (
-            view,
-            np.linspace(0, 300, 972).reshape(-1, 3),
-            None,
-            "colours span 0 to 300, expected 0 to 1",
-        ),
-        (view, "red", None, "what is given as colours is not an array of real numbers"),
-    ):
-        assert_refused(words, refine, points, scene, config=config, colours=colour)
+def test_a_depth_map_with_the_papers_preset_is_refused():
+    words = "a depth map, expected mode points with preset best, found points with paper"
+    config = RefineConfig(preset="paper")
+    assert_refused(words, refine, sheet(3.0)[0], TILTED, config=config)

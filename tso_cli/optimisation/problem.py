@@ -100,10 +100,10 @@ class Problem:
 def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> Problem:
     """The problem of a cloud and ``views`` in its axes, with a mirror plane if the cloud has one.
 
-    Raises InputError where the mode cannot use depth maps or images, or a mask has no foreground
+    Raises InputError where the mode cannot use depth maps, or a mask has no foreground
     in its window.
     """
-    _require_supported(cloud, views, settings)
+    _require_supported(views, settings)
     symmetry = decide_symmetry(cloud, settings.symmetry)
     return Problem.of(cloud, views, symmetry, settings.sigma_sq)
 
@@ -116,16 +116,9 @@ def _windowed(
     return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box, cells))
 
 
-def _require_supported(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> None:
-    uses = {
-        "a depth map": any(view.depth is not None for view in views),
-        "an image": any(view.image is not None for view in views),
-    }
-    for name, used in uses.items():
-        if used and not settings.smooth:
-            raise InputError(
-                f"a view has {name}, expected mode points with preset best, "
-                f"found {settings.mode} with {settings.preset}"
-            )
-    if uses["an image"] and cloud.colours is None:
-        raise InputError("a view has an image, expected a cloud with colours, found none")
+def _require_supported(views: Sequence[View], settings: Settings) -> None:
+    if any(view.depth is not None for view in views) and not settings.smooth:
+        raise InputError(
+            "a view has a depth map, expected mode points with preset best, "
+            f"found {settings.mode} with {settings.preset}"
+        )

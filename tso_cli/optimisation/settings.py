@@ -14,7 +14,6 @@ class Settings:
 
     points : most control points, None for all points.
     prior : "learned", "none" or the file of a prior.
-    given : names of the values that the caller chose.
     """
 
     mode: Mode
@@ -31,7 +30,6 @@ class Settings:
     point_confidence: bool
     points: int | None
     prior: str
-    given: frozenset[str]
 
     @property
     def smooth(self) -> bool:

@@ -31,7 +31,6 @@ def refine(
     assume: Sequence[str | Assumption] = (),
     network: BaseNetwork | None = None,
     image: Any = None,
-    colours: Any = None,
     faces: Any = None,
     known: Sequence[Finding] = (),
     progress: Progress | None = None,
@@ -48,8 +47,6 @@ def refine(
         "opengl" or "mask-flipped@NAME" for the view of that name alone.
     network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
     image : [3, 64, 64] network input in [0, 1], array or tensor.
-    colours : [N, 3] RGB of the points, in [0, 1] or uint8, array or tensor. A view with an image
-        needs them.
     faces : [F, 3] whole numbers, the triangles of a mesh, array or tensor. 1,024 points of the
         surface move, and the vertices follow.
     known : findings about the input that the result should have too.
@@ -64,8 +61,8 @@ def refine(
     Raises
     ------
     InputError
-        Points, faces, masks or cameras that cannot be used or do not meet (`NoOverlapError`), a
-        mode that lacks its network, or an image without colours.
+        Points, faces, masks or cameras that cannot be used or do not meet (`NoOverlapError`), or a
+        mode that lacks its network.
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
@@ -78,7 +75,7 @@ def refine(
             if points is None:
                 raise InputError("mode points needs points, found none")
             if not isinstance(points, Cloud):
-                points = Cloud(points, "points", colours, faces)
+                points = Cloud(points, "points", faces=faces)
         else:
             from ..optimisation.network_parameters import NetworkParameters
 

@@ -182,4 +182,4 @@ class RefineConfig:
             chosen["steps"] = 0
         if "prior" in chosen:
             chosen["prior"] = str(chosen["prior"])
-        return Settings(**(defaults | chosen), given=frozenset(chosen))
+        return Settings(**(defaults | chosen))

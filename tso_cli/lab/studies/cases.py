@@ -61,7 +61,6 @@ class Case:
     views : the first is the case's own, the others are further masks.
     floor : Chamfer distance from another sampling of the truth to ``target``.
     image : [3, 64, 64], what the network saw.
-    colours : [N, 3] in [0, 1] of ``initial``, for views that have photos.
     """
 
     kind: str
@@ -75,7 +74,6 @@ class Case:
     views: tuple[View, ...]
     floor: float
     image: NDArray[np.float32] | None = None
-    colours: Array | None = None
 
     @property
     def names(self) -> dict[str, str | int]:

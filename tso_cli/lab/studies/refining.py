@@ -78,8 +78,8 @@ def refined(
     cases: list[Case], variant: Variant, network: BaseNetwork | None = None
 ) -> list[RefineResult]:
     """The result of each case; TsoError where a case cannot be refined."""
-    # Networks and colours have no batch.
-    if variant.config.mode != "points" or any(case.colours is not None for case in cases):
+    # Networks have no batch.
+    if variant.config.mode != "points":
         return [alone(case, variant, network) for case in cases]
     problems = [(case.initial, case.views[: variant.masks]) for case in cases]
     results = []
@@ -95,7 +95,7 @@ def alone(case: Case, variant: Variant, network: BaseNetwork | None) -> RefineRe
     """The result of one case, refined by itself."""
     config, views = variant.config, case.views[: variant.masks]
     if config.mode == "points":
-        return uninterrupted(refine(case.initial, views, config=config, colours=case.colours))
+        return uninterrupted(refine(case.initial, views, config=config))
     result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
     if variant.then is None:
         return result
