@@ -26,7 +26,7 @@ REASONS = {
     "right?",
     "motion": "the points moved far, or without their neighbours",
     "prior": "the learned prior is unsure of this object",
-    "start": "clouds that begin as near to their masks are made worse more often",
+    "start": "from starts like this, more results get worse",
     "misfit": "the cloud would not fit the masks afterwards either",
 }
 # Added to a value, or to a share of contours, before its logarithm is taken.

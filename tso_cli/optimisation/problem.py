@@ -52,8 +52,7 @@ class Problem:
         views, plane = tuple(views), symmetry.plane
         flipped = () if plane is None else tuple(map(plane.flipped, views))
         given, mirrored = (
-            tuple(_windowed(view, cloud, sigma_sq, cloud.control_points) for view in some)
-            for some in (views, flipped)
+            _windowed(some, cloud, sigma_sq, cloud.control_points) for some in (views, flipped)
         )
         return cls(cloud, given, mirrored, symmetry, sigma_sq)
 
@@ -75,10 +74,7 @@ class Problem:
         """
         around = self.cloud.denormalise(points)
         given, flipped = (
-            tuple(
-                _windowed(windowed.view, self.cloud, self.sigma_sq, around, FINE_CELLS)
-                for windowed in some
-            )
+            _windowed([one.view for one in some], self.cloud, self.sigma_sq, around, FINE_CELLS)
             for some in (self.given, self.flipped)
         )
         return replace(self, given=given, flipped=flipped)
@@ -100,8 +96,8 @@ class Problem:
 def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -> Problem:
     """The problem of a cloud and ``views`` in its axes, with a mirror plane if the cloud has one.
 
-    Raises InputError where the mode cannot use depth maps, or a mask has no foreground
-    in its window.
+    Raises InputError where the mode cannot use depth maps, or a mask has no foreground in its
+    window.
     """
     _require_supported(views, settings)
     symmetry = decide_symmetry(cloud, settings.symmetry)
@@ -109,11 +105,18 @@ def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -
 
 
 def _windowed(
-    view: View, cloud: ControlledCloud, sigma_sq: float, points: Array, cells: int = CELLS
-) -> WindowedView:
-    """A view in its window around the mask and ``points`` [N, 3], in the unit of the source."""
-    box = window_of(view, points)
-    return WindowedView(view, resample_view(view, sigma_sq, cloud.centre, cloud.scale, box, cells))
+    views: Sequence[View],
+    cloud: ControlledCloud,
+    sigma_sq: float,
+    points: Array,
+    cells: int = CELLS,
+) -> tuple[WindowedView, ...]:
+    """Each view in its window around its mask and ``points`` [N, 3], in the unit of the source."""
+    frame = sigma_sq, cloud.centre, cloud.scale
+    return tuple(
+        WindowedView(view, resample_view(view, *frame, window_of(view, points), cells))
+        for view in views
+    )
 
 
 def _require_supported(views: Sequence[View], settings: Settings) -> None:
