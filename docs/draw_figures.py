@@ -1,6 +1,7 @@
-"""Draw two figures of the pages: the steps of the method, and conventions of cameras and pixels.
+"""Draw three figures of the pages: the steps of the method, conventions, and families of shapes.
 
-python docs/draw_figures.py [FOLDER]   writes pipeline.png and conventions.png; default: docs
+python docs/draw_figures.py [FOLDER]   writes pipeline.png, conventions.png and families.png;
+default: docs
 """
 
 import sys
@@ -22,10 +23,12 @@ from tso_cli.geometry.window import window_of
 from tso_cli.io.cameras import read_camera
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.masks import read_mask
+from tso_cli.io.meshes import Mesh
 from tso_cli.optimisation.learned_start import beginning
 from tso_cli.optimisation.optimise import weigh
 from tso_cli.optimisation.problem import prepare
 from tso_cli.prior import named_prior
+from tso_cli.render import FAMILIES, RayScene, look_at, shape_of
 
 DOCS = Path(__file__).parent
 CHAIR = DOCS.parent / "examples" / "chair"
@@ -33,6 +36,7 @@ CHAIR = DOCS.parent / "examples" / "chair"
 CELLS, COVERED_WITHIN = 64, 0.7
 # Colours that are told apart without colour vision too.
 MASK, POINTS, WRONG, MISSING, INK = "#c9ced4", "#1f3b57", "#d95f02", "#0072b2", "#222222"
+ROWS, COLUMNS, SIDE = 5, 8, 160
 AXES = {"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4"}
 
 
@@ -322,7 +326,35 @@ def _arrow(axes: Axes, start, end, colour: str = INK) -> None:
     axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.5})
 
 
+# ---------------------------------------------------------------------------------- families
+
+
+def draw_families(path: Path) -> None:
+    """Forty shapes by rule: the first of each family, then the second of some."""
+    figure = plt.figure(figsize=(13.0, 7.2), dpi=80)
+    names = list(FAMILIES)
+    chosen = [(names[i % len(names)], i // len(names)) for i in range(ROWS * COLUMNS)]
+    for number, (family, seed) in enumerate(chosen):
+        row, column = divmod(number, COLUMNS)
+        box = (column / COLUMNS, 1.0 - (row + 1) / ROWS, 1.0 / COLUMNS, 0.85 / ROWS)
+        axes = figure.add_axes(box)
+        axes.set_title(family, fontsize=9.0, pad=2.0)
+        axes.imshow(_shaded(shape_of(family, [seed])), cmap="gray", vmin=0.0, vmax=1.0)
+        axes.axis("off")
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def _shaded(mesh: Mesh) -> np.ndarray:
+    """A picture [SIDE, SIDE] of a mesh: brighter where it faces the light."""
+    camera = look_at(35.0, 20.0, 2.5, (SIDE, SIDE))
+    hits = RayScene(mesh).cast(camera, np.arange(float(SIDE)), np.arange(float(SIDE)))
+    light = np.array([0.5, 0.7, 0.5]) / np.linalg.norm([0.5, 0.7, 0.5])
+    return np.where(hits["hit"], 0.25 + 0.6 * np.abs(hits["normal"] @ light), 1.0)
+
+
 def main(folder: Path) -> None:
+    draw_families(folder / "families.png")
     draw_pipeline(folder / "pipeline.png")
     draw_conventions(folder / "conventions.png")
 

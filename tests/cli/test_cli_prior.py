@@ -67,7 +67,7 @@ def test_what_is_no_prior_is_refused_in_one_line(folder, refine, own, file, says
 
     data = own.read_bytes()
     (folder / "half.safetensors").write_bytes(data[: len(data) // 2])
-    tensors, about = load(data), {"tso": json.dumps({"format": "tso-prior-1"})}
+    tensors, about = load(data), {"tso": json.dumps({"format": "tso-prior-2"})}
     bad = tensors["view1"].copy()
     bad[0, 0] = np.nan
     for name, changed in (("nan", {"view1": bad}), ("short", {"view1": bad[1, :3].copy()})):

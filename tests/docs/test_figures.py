@@ -8,7 +8,7 @@ from PIL import Image
 
 from tests.readme import DOCS
 
-FIGURES = ("conventions.png", "pipeline.png")
+FIGURES = ("conventions.png", "families.png", "pipeline.png")
 
 
 @pytest.mark.slow

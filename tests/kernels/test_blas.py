@@ -1,5 +1,6 @@
 """BLAS on one thread while anything is refined, on its own threads after."""
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -23,3 +24,18 @@ def test_the_last_of_interleaved_users_gives_the_threads_back():
         assert _threads() == {1}
         second.close()
         assert _threads() == before
+
+
+def test_a_limit_holds_in_any_thread_after_another_had_one():
+    """Else the last bits of a result would depend on the thread that made it."""
+
+    def inside() -> set[int]:
+        with one_thread():
+            return _threads()
+
+    # Not inside `threadpool_limits`, whose thread would stay in control.
+    before = _threads()
+    with ThreadPoolExecutor(1) as pool:
+        seen = [inside(), pool.submit(inside).result(), inside()]
+    assert seen == [{1}] * 3
+    assert _threads() == before

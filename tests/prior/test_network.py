@@ -1,5 +1,7 @@
 """Features and network of the learned prior: one text for numpy and torch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,59 +9,66 @@ import torch
 from tests.prior.common import discs, some_weights
 from tso_cli.prior.backend import NUMPY
 from tso_cli.prior.features import (
+    FAR_DEPTH,
     HALF,
     MAPS,
     OF_NODE,
     OF_VIEW,
+    Sight,
     bernstein,
     features,
 )
 from tso_cli.prior.network import fused, initial, predict, shapes
-from tso_cli.prior.torch_backend import TORCH
+from tso_cli.prior.torch_backend import TORCH, nearest_few
 
 
-def in_torch(values):
-    return [torch.from_numpy(value) for value in values]
+def in_torch(sight):
+    return Sight(**{name: torch.from_numpy(value) for name, value in vars(sight).items()})
+
+
+def answers_of(weights, given, backend=NUMPY):
+    return list(vars(predict(backend, weights, given)).values())
 
 
 def test_numpy_and_torch_see_the_same_and_answer_the_same():
-    cloud, *shown = discs()
+    cloud, sight = discs()
     weights = some_weights()
-    given = features(NUMPY, cloud, 128, *shown)
-    same = features(TORCH, torch.from_numpy(cloud), 128, *in_torch(shown))
+    given = features(NUMPY, cloud, 128, sight)
+    same = features(TORCH, torch.from_numpy(cloud), 128, in_torch(sight))
     for name, array in vars(given).items():
         np.testing.assert_allclose(getattr(same, name).numpy(), array, atol=1e-12, err_msg=name)
     assert given.maps.shape[1] == MAPS
     assert given.nodes.shape[2] == OF_NODE
     assert given.view.shape[1] == OF_VIEW
-    answers = predict(NUMPY, weights, given)
+    answers = answers_of(weights, given)
     of_torch = {name: torch.from_numpy(array) for name, array in weights.items()}
-    for answer, other in zip(answers, predict(TORCH, of_torch, same), strict=True):
+    for answer, other in zip(answers, answers_of(of_torch, same, TORCH), strict=True):
         np.testing.assert_allclose(other.numpy(), answer, atol=1e-10)
         assert np.abs(answer).max() > 0.01
 
 
 def test_the_gradients_of_the_network_are_those_of_finite_differences():
-    cloud, *shown = discs(1, 64, 40)
-    given = features(TORCH, torch.from_numpy(cloud), 8, *in_torch(shown))
+    cloud, sight = discs(1, 64, 40)
+    given = features(TORCH, torch.from_numpy(cloud), 8, in_torch(sight))
     weights = {name: torch.from_numpy(array) for name, array in some_weights().items()}
 
     def answer(*changed):
-        answers = predict(TORCH, {**weights, **dict(zip(names, changed, strict=True))}, given)
+        answers = answers_of({**weights, **dict(zip(names, changed, strict=True))}, given, TORCH)
         return torch.cat([one[:, :2].flatten() for one in answers])
 
     names = ["map1.offset", "map3b.offset", "view2.offset", "node1.offset", "moved.offset"]
+    names += ["cells1.offset", "troubles.offset"]
     chosen = [weights[name].clone().requires_grad_() for name in names]
     assert torch.autograd.gradcheck(answer, chosen)
 
 
 def test_a_new_network_moves_nothing():
-    cloud, *shown = discs()
+    cloud, sight = discs()
     weights = {name: array.astype(float) for name, array in initial(0).items()}
     assert {name: array.shape for name, array in weights.items()} == shapes()
-    displacements, log_weights = predict(NUMPY, weights, features(NUMPY, cloud, 128, *shown))
-    assert not displacements.any()
-    assert not log_weights.any()
+    assert not any(
+        answer.any() for answer in answers_of(weights, features(NUMPY, cloud, 128, sight))
+    )
 
 
 def test_a_disc_that_is_larger_than_the_cloud_pulls_outward():
@@ -67,10 +76,11 @@ def test_a_disc_that_is_larger_than_the_cloud_pulls_outward():
     rng = np.random.default_rng(0)
     cloud = rng.normal(size=(1, 400, 3))
     cloud *= 0.2 * rng.uniform(0.2, 1.0, (1, 400, 1)) / np.linalg.norm(cloud, axis=2, keepdims=True)
-    _, closeness, distance, known, _, _ = discs(1)
+    _, sight = discs(1)
     angles = np.linspace(0.0, 2.0 * np.pi, 60)
     ring = 0.45 * np.stack([np.cos(angles), np.sin(angles)], 1)[None]
-    given = features(NUMPY, cloud, 100, closeness, distance, known, ring, np.ones((1, 60)))
+    sight = replace(sight, cells=ring, counted=np.ones((1, 60)))
+    given = features(NUMPY, cloud, 100, sight)
     pull, cloud = given.nodes[0, :, 11:13], cloud[0, :100]
     pulled = np.linalg.norm(pull, axis=1) > 1.0
     assert pulled.sum() > 10
@@ -78,29 +88,29 @@ def test_a_disc_that_is_larger_than_the_cloud_pulls_outward():
     assert (outward > 0.0).all()
     # Cells that are covered pull nothing.
     covered = cloud[None, :, :2]
-    counted = np.ones(covered.shape[:2])
-    flat = features(NUMPY, cloud[None], 100, 0.0 * closeness, distance, known, covered, counted)
+    sight = replace(sight, closeness=np.zeros(1), cells=covered, counted=np.ones(covered.shape[:2]))
+    flat = features(NUMPY, cloud[None], 100, sight)
     assert np.abs(flat.nodes[0, :, 11:14]).max() < 1e-6
 
 
 def test_what_is_seen_beyond_the_maps_is_in_no_map():
-    cloud, closeness, *shown = discs(1)
+    cloud, sight = discs(1)
     far = cloud.copy()
     far[:, 0] = [5.0 * HALF, 0.0, 0.0]
-    maps = features(NUMPY, far, 128, closeness, *shown).maps
-    without = features(NUMPY, far[:, 1:], 128, closeness, *shown).maps
+    maps = features(NUMPY, far, 128, sight).maps
+    without = features(NUMPY, far[:, 1:], 128, sight).maps
     np.testing.assert_allclose(maps, without)
 
 
 @pytest.mark.parametrize("depth", [0.0, -1.0])
 def test_a_point_at_the_plane_of_the_camera_or_behind_it_is_in_no_map(depth):
-    cloud, closeness, *shown = discs(1)
+    cloud, sight = discs(1)
     behind = cloud.copy()
-    behind[0, -1] = [0.1, 0.0, (depth - 1.0) / closeness[0]]
-    given = features(NUMPY, behind, 128, closeness, *shown)
-    without = features(NUMPY, behind[:, :-1], 128, closeness, *shown)
+    behind[0, -1] = [0.1, 0.0, (depth - 1.0) / sight.closeness[0]]
+    given = features(NUMPY, behind, 128, sight)
+    without = features(NUMPY, behind[:, :-1], 128, sight)
     np.testing.assert_allclose(given.maps, without.maps)
-    assert all(np.isfinite(answer).all() for answer in predict(NUMPY, some_weights(), given))
+    assert all(np.isfinite(answer).all() for answer in answers_of(some_weights(), given))
 
 
 def test_the_lattice_is_a_partition_of_unity():
@@ -119,6 +129,18 @@ def test_views_at_right_angles_say_each_what_it_sees():
     np.testing.assert_allclose(found[0, 0], truth, atol=1e-6)
     alone = fused(NUMPY, displacements[:, :1], log_weights[:, :1], rotations[:, :1])
     np.testing.assert_allclose(alone[0, 0], [0.1, 0.2, 7.0])
+
+
+def test_a_surface_before_a_point_is_seen_at_its_node():
+    """The last two features of a node: how far the depth map lies behind it, and whether it is."""
+    cloud, sight = discs(1)
+    given = features(NUMPY, cloud, 128, sight)
+    behind, measured = given.nodes[0, :, -2], given.nodes[0, :, -1]
+    right = given.places[0, :, 0] > 0.1
+    np.testing.assert_allclose(measured[right], 1.0)
+    expected = 5.0 * np.clip(0.1 - cloud[0, :128, 2], -FAR_DEPTH, FAR_DEPTH)
+    np.testing.assert_allclose(behind[right], expected[right], atol=1e-9)
+    assert not behind[given.places[0, :, 0] < -0.1].any()
 
 
 @pytest.mark.parametrize("name", ["dilated", "sampled", "convolved", "nearest", "sums", "largest"])
@@ -146,3 +168,14 @@ def test_bilinear_samples_are_the_linear_function_that_maps_hold():
     places = np.random.default_rng(2).uniform(-0.8, 0.8, (1, 30, 2))
     found = NUMPY.sampled(maps, places)[..., 0]
     np.testing.assert_allclose(found, places @ [2.0, 3.0])
+
+
+def test_the_nearest_few_in_single_precision_are_those_of_all_pairs():
+    generator = torch.Generator().manual_seed(3)
+    queries, data = (torch.rand(5, count, 3, generator=generator) for count in (40, 70))
+    near = nearest_few(queries, data, 4)
+    distances = torch.cdist(queries, data)
+    expected = distances.topk(4, largest=False).values
+    torch.testing.assert_close(distances.gather(2, near), expected, rtol=2e-4, atol=1e-6)
+    assert (near.sort(2).values.diff(dim=2) > 0).all()
+    assert torch.equal(TORCH.nearest(queries, data), near[..., 0])

@@ -20,9 +20,10 @@ from ..io.output import require_suffix
 from ..io.reading import plain, shown
 from .batch_item import context_of, refine_command
 from .batch_page import INDEX, PICTURES
+from .option_files import parameter_of
 from .options import WORDS, FilePath
 from .refine_files import SUFFIX_OF
-from .refine_record import OF_RUN, WRITTEN, parameter_of, record_of
+from .refine_record import OF_RUN, WRITTEN, record_of
 from .refine_run import check_options
 
 # Options that a batch sets itself for each item.

@@ -10,20 +10,20 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os.path import splitext
 from pathlib import Path
-from types import NoneType
 from typing import Any
 
 import click
 
-from ..errors import InputError, prefixed
+from ..errors import InputError
 from ..io.output import reason
-from ..io.reading import plain, read_bytes, shown
+from ..io.reading import plain, shown
 from ..version import __version__
 from . import options
+from .option_files import read_options, set_defaults
 
 SCHEMA = 1
 """Version of the form of records."""
-LARGEST_CONFIG = 16 << 20  # bytes
+EXPECTED = "a record of --record, or a .toml or .json file of options"
 # Options that say where results go, whether, or what is printed: they do not change a result.
 WRITTEN = ("overlay", "report", "rerun", "write_camera", "write_transform")
 OF_RUN = ("record", "overwrite", "check", "quiet", "verbose", "as_json")
@@ -113,30 +113,11 @@ def read_config(ctx: click.Context, path: Path) -> None:
     to its folder.
     """
     ctx.meta[options.CONFIG] = path
-    expected = "a record of --record, or a .toml or .json file of options"
-    document = _document(path, read_bytes(path, expected, LARGEST_CONFIG), expected)
-    if not isinstance(document, dict):
-        raise InputError(f"{path}: holds {shown(document)}, expected {expected}")
+    document = read_options(path, EXPECTED)
     if "schema" in document:
         ctx.meta[_RECORD] = _record(path, document)
         document = document["options"]
-    parameters = {one.name: one for one in ctx.command.params if one.expose_value}
-    found = {}
-    for key, value in document.items():
-        if isinstance(value, dict):
-            raise InputError(
-                f"{path}: {shown(key)} is a table, expected options such as steps = 20 at the top "
-                "of the file"
-            )
-        name = parameter_of(key)
-        if name not in parameters:
-            raise InputError(
-                f"{path}: {shown(key)} is no option of {ctx.command.name}, expected names such as "
-                "camera or refine-camera"
-            )
-        with prefixed(f"{path}: {plain(key)} is "):
-            found[name] = _values(value, parameters[name], path.parent)
-    ctx.default_map = {**(ctx.default_map or {}), **found}
+    set_defaults(ctx, path, document)
 
 
 def _record(path: Path, document: dict[str, Any]) -> _Record:
@@ -158,50 +139,6 @@ def _record(path: Path, document: dict[str, Any]) -> _Record:
             )
     placed = {os.path.abspath(path.parent / name): digest for name, digest in inputs.items()}
     return _Record(path, document["version"], placed)
-
-
-def _values(value: Any, parameter: click.Parameter, folder: Path) -> Any:
-    """A value of a file of options, as ``parameter`` takes it, with paths from ``folder``.
-
-    Raises InputError with the value and what was expected.
-    """
-    several = parameter.nargs == -1 or getattr(parameter, "multiple", False)
-    values = value if several and isinstance(value, list) else [value]
-    for one in values:
-        if not _fits(one, parameter):
-            raise InputError(f"{shown(one)}, expected {_kinds(parameter.type)[1]}")
-    return in_folder(values if several else value, parameter, folder)
-
-
-def _fits(value: Any, parameter: click.Parameter) -> bool:
-    kinds = _kinds(parameter.type)[0]
-    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        return False
-    try:
-        if isinstance(value, str):
-            os.fsencode(value)  # half of a character, which JSON can hold, is no text
-        if value is not None:
-            parameter.type.convert(value, parameter, None)
-    except (click.UsageError, ValueError, OverflowError):
-        return False
-    return not isinstance(value, str) or "\0" not in value
-
-
-def _kinds(kind: click.ParamType) -> tuple[tuple[type, ...], str]:
-    """The types that a file may hold for an option, and what they mean."""
-    if isinstance(kind, click.types.BoolParamType):
-        return (bool,), "true or false"
-    if isinstance(kind, options.AutoOrInteger):
-        return (int, str, NoneType), "auto or a whole number"
-    if isinstance(kind, options.Whole):
-        return (int, str), f"a whole number{kind.range}"
-    if isinstance(kind, click.types.FloatParamType):
-        return (int, float, str), "a number"
-    if isinstance(kind, click.Choice):
-        return (str,), f"one of {', '.join(map(str, kind.choices))}"
-    if isinstance(kind, options.FilePath):
-        return (str,), "a path"
-    return (int, float, str), "text"
 
 
 def warn_of_changes(ctx: click.Context) -> None:
@@ -248,35 +185,3 @@ def _typed(ctx: click.Context, inputs: Any) -> Iterator[Path]:
         if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             values = value if isinstance(value, tuple) else (value,)
             yield from (one for one in values if isinstance(one, Path))
-
-
-def _document(path: Path, data: bytes, expected: str) -> Any:
-    try:
-        if path.suffix.lower() != ".toml":
-            return json.loads(data)
-        try:
-            import tomllib
-        except ImportError:  # Python 3.10
-            import tomli as tomllib
-        return tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
-
-
-def parameter_of(name: str) -> str:
-    """The name of the parameter that a manifest or a file calls ``name``, as --help does."""
-    special = {
-        "cloud": "source", "mask": "masks", "object": "object_id", "json": "as_json",
-    }  # fmt: skip
-    plain = name.strip().removeprefix("--").replace("-", "_")
-    return special.get(plain, plain)
-
-
-def in_folder(value: Any, parameter: click.Parameter, folder: Path) -> Any:
-    """``value`` with paths that are relative to ``folder``, if the parameter takes paths."""
-    if isinstance(value, (list, tuple)):
-        return [in_folder(one, parameter, folder) for one in value]
-    kind = parameter.type
-    if not isinstance(kind, options.FilePath) or not isinstance(value, str):
-        return value
-    return value if "://" in value or value in kind.words else str(folder / value)

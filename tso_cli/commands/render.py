@@ -36,14 +36,64 @@ class Size(click.ParamType):
         return int(match[1]), int(match[2] or match[1])
 
 
+class Count(click.ParamType):
+    """``chair=100``."""
+
+    name = "family=count"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, int]:
+        family, _, number = str(value).partition("=")
+        if family != "list" and not re.fullmatch(r"[1-9]\d{0,5}", number):
+            self.fail(f"{value!r} is no family and number, expected such as chair=100", param, ctx)
+        return family, int(number or 0)
+
+
+def list_families(
+    ctx: click.Context, param: click.Parameter, value: tuple[tuple[str, int], ...]
+) -> dict[str, int]:
+    """The families and their numbers; prints the names of all families for ``list``."""
+    if not value:
+        return {}
+    from ..render.families import FAMILIES
+
+    for family, _ in value:
+        if family == "list":
+            click.echo("\n".join(FAMILIES))
+            ctx.exit()
+        if family not in FAMILIES:
+            raise InputError(
+                f"--family {family}: is no family, expected one of {', '.join(FAMILIES)}"
+            )
+    return dict(value)
+
+
 @click.command(
     "render",
     cls=options.Command,
-    headings={"split": "Meshes", "views": "Images", "samples": "Points", "output": "Output"},
+    headings={"families": "Meshes", "views": "Images", "samples": "Points", "output": "Output"},
 )
-@click.argument("source", metavar="MESH_OR_FOLDER", type=PATH)
+@click.argument("source", metavar="[MESH_OR_FOLDER]", required=False, type=PATH)
+@option(
+    "--family",
+    "Render COUNT shapes of a family too, made by rule. May be repeated; `list` names all.",
+    "families",
+    type=Count(),
+    multiple=True,
+    metavar="NAME=COUNT",
+    is_eager=True,
+    callback=list_families,
+)
 @option("--split", "Render only the meshes that this split (.json) names.", type=PATH)
 @choice("--part", "List of the split to render.", "train", "validation", "test")
+@option(
+    "--category",
+    "Render only the meshes of this category, a folder of MESH_OR_FOLDER. May be repeated.",
+    "categories",
+    multiple=True,
+    metavar="NAME",
+)
 @option("--copies", "Randomly warped copies to add of each mesh, for training.", default=0)
 @flag("--paint", "Give the parts of each mesh random colours, for training.")
 @option("--views", "Images of each mesh.", default=24)
@@ -70,7 +120,7 @@ class Size(click.ParamType):
 @options.overwrite
 @options.seed
 @options.as_json
-def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any) -> None:
+def command(source: Path | None, output: Path, seed: int, as_json: bool, **chosen: Any) -> None:
     """Render a mesh, or all meshes of a folder: images, masks, cameras and point clouds.
 
     Every mesh is centred and scaled to longest side 1. Textures are looked for in the folder of the
@@ -79,11 +129,26 @@ def command(source: Path, output: Path, seed: int, as_json: bool, **chosen: Any)
     """
     from ..datasets.splits import read_part
     from ..render import RenderSettings, render_folder
+    from ..render.folder import named_meshes
 
+    if source is None and not chosen["families"]:
+        raise InputError("no MESH_OR_FOLDER, expected one (or --family)")
     settings = options.pick(RenderSettings, chosen)
     names = None if chosen["split"] is None else read_part(chosen["split"], chosen["part"])
+    if source is not None and (categories := chosen["categories"]):
+        names = names or list(named_meshes(source, output))
+        names = [name for name in names if name.split("/")[0] in categories]
+        if not names:
+            raise InputError(f"{source}: has no mesh of {' or '.join(categories)}, expected some")
     summary = render_folder(
-        source, output, settings, seed, chosen["overwrite"], options.ProgressBar("rendering"), names
+        source,
+        output,
+        settings,
+        seed,
+        chosen["overwrite"],
+        options.ProgressBar("rendering"),
+        names,
+        chosen["families"],
     )
     for message in summary.failed.values():
         options.log(message)

@@ -13,6 +13,7 @@ import click
 from ..errors import InputError
 from . import options
 from .options import PATH, choice, flag, option, output
+from .recipes import RECIPE, RECIPES, read_recipe, render
 from .train_outputs import TrainOutputs
 from .train_prior import PRIOR_DEFAULTS, check_prior, train_prior
 
@@ -81,6 +82,16 @@ class CategoryValue(click.ParamType):
 @click.command("train", cls=options.Command, headings=HEADINGS, brief=BRIEF)
 @click.argument("data", required=False, type=PATH)
 @option(
+    "--config",
+    "Options from a file, unless they are given here: TOML or JSON. `network` and `prior` come "
+    "with the program.",
+    type=options.FilePath(*RECIPES),
+    is_eager=True,
+    expose_value=False,
+    callback=read_recipe,
+    metavar="network|prior|FILE",
+)
+@option(
     "--split",
     'Train only on the objects in the list "train" of this split (.json).',
     "split_file",
@@ -101,7 +112,20 @@ class CategoryValue(click.ParamType):
     type=PATH,
     metavar="FOLDER",
 )
-@option("--scenes", "Scenes to draw before the training of a prior; 1,000 take 15 s.", default=8000)
+@option(
+    "--by-rule",
+    "Shapes of each family that a prior learns from, with or without --prior; `tso render "
+    "--family list` names the families.",
+    type=options.Whole(0),
+    default=0,
+)
+@option(
+    "--marred",
+    "Share of the masks of a prior's scenes that have a trouble, such as an arm or a hole.",
+    default=0.4,
+)
+@option("--depth-maps", "Share of a prior's scenes that have depth maps.", default=0.4)
+@option("--scenes", "Scenes to draw before the training of a prior; 1,000 take 40 s.", default=8000)
 @option(
     "--without",
     "Leave out this category of --prior. May be repeated.",
@@ -184,6 +208,12 @@ class CategoryValue(click.ParamType):
     "initial",
     type=PATH,
 )
+@choice(
+    "--decay",
+    "How the learning rate falls: not at all, or to 0 along half a cosine.",
+    "none",
+    "cosine",
+)
 @option("--steps", f"Optimiser steps in all.  {_default('steps')}", type=int)
 @option("--batch-size", f"Objects in a step.  {_default('batch_size')}", type=int)
 @option("--learning-rate", f"Learning rate of Adam.  {_default('learning_rate')}", type=float)
@@ -212,7 +242,9 @@ class CategoryValue(click.ParamType):
 @options.as_json
 @options.device
 @options.seed
-@option("--workers", "Threads that prepare batches ahead.", default=1)
+@option(
+    "--workers", "Threads that prepare batches ahead; of a prior, that share each step.", default=1
+)
 @click.pass_context
 def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     """Train the network that predicts a cloud from a photo, for the network modes of `tso refine`.
@@ -229,8 +261,10 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
 
     To train the network with several processes: torchrun --nproc-per-node N -m tso_cli train ...
     """
+    recipe = ctx.meta.get(RECIPE)
+    chosen["recipe"] = recipe and recipe.name
     check_prior(ctx)
-    if chosen["prior"] is not None:
+    if chosen["prior"] is not None or chosen["by_rule"]:
         train_prior(ctx, as_json, chosen)
         return
     from ..train import TrainConfig, train
@@ -240,7 +274,10 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
     from .train_report import print_summary, training_document, unusable
     from .training_data import DataSelection, load
 
-    started, on_examples = time.perf_counter(), chosen["data"] is None
+    started = time.perf_counter()
+    if recipe is not None and recipe.render is not None:
+        chosen["data"] = render(recipe, chosen["data"], chosen["output"] or DEFAULTS["output"])
+    on_examples = chosen["data"] is None
     for name, value in (DEFAULTS | (EXAMPLE_DEFAULTS if on_examples else {})).items():
         chosen[name] = value if chosen[name] is None else chosen[name]
     outputs = options.pick(TrainOutputs, chosen)

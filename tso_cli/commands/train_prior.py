@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import Counter
@@ -26,10 +27,19 @@ PRIOR_DEFAULTS: dict[str, Any] = {
     "output": Path("prior.safetensors"),
 }
 # Options of the prior alone, and options that both trainings have; all others are the network's.
-OF_PRIOR = ("prior", "scenes", "without", "predicted_by", "predictions")
+OF_PRIOR = (
+    "prior",
+    "by_rule",
+    "marred",
+    "depth_maps",
+    "scenes",
+    "without",
+    "predicted_by",
+    "predictions",
+)
 OF_BOTH = (
-    "strict", "initial", "steps", "batch_size", "output", "overwrite", "checkpoint_every", "resume",
-    "log_file", "as_json", "device", "seed",
+    "split_file", "precision", "workers", "strict", "initial", "steps", "batch_size", "output",
+    "overwrite", "checkpoint_every", "resume", "log_file", "as_json", "device", "seed",
 )  # fmt: skip
 LOSS_STEPS = 100  # the loss that is reported is the mean over this many steps
 LISTED = 10  # meshes that were left out and are named on stderr
@@ -37,16 +47,18 @@ LISTED = 10  # meshes that were left out and are named on stderr
 
 def check_prior(ctx: click.Context) -> None:
     """InputError if an option of one training is given with the other."""
-    folder = ctx.params["prior"]
+    for_prior = ctx.params["prior"] is not None or ctx.params["by_rule"] > 0
     for parameter in ctx.command.params:
         name = parameter.name or ""
         used = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
         if not used or not parameter.expose_value or name in OF_BOTH:
             continue
         shown = "DATA" if isinstance(parameter, click.Argument) else parameter.opts[0]
-        if folder is None and name in OF_PRIOR:
-            raise InputError(f"{shown} is for the training of a prior, expected --prior FOLDER")
-        if folder is not None and name not in OF_PRIOR:
+        if not for_prior and name in OF_PRIOR:
+            raise InputError(
+                f"{shown} is for the training of a prior, expected --prior FOLDER or --by-rule"
+            )
+        if for_prior and name not in OF_PRIOR:
             raise InputError(
                 f"{shown} is for the training of the network, expected it without --prior"
             )
@@ -57,6 +69,7 @@ def check_prior(ctx: click.Context) -> None:
 def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> None:
     """Train, write and print; exits with 130 after Ctrl-C."""
     from .. import device as devices
+    from ..datasets.splits import read_part
     from ..io.reading import name_of
     from ..prior.file import EXPECTED, read_prior
     from ..prior.network import initial as random_weights
@@ -64,7 +77,8 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
     from ..train.prior.config import PriorConfig
     from ..train.prior.loop import train
     from ..train.prior.predictions import Predictor, draw_predictions
-    from ..train.prior.shapes import read_shapes
+    from ..train.prior.scenes import Chances
+    from ..train.prior.shapes import ShapeSet, read_shapes, ruled_shapes
     from ..train.prior.state import (
         check_resumable,
         load_training,
@@ -95,11 +109,16 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
     if outputs.resume:
         about_state = check_resumable(outputs.output, config)
         config = replace(config, initial=about_state["settings"].get("initial"))
-    folder = chosen["prior"]
-    shapes = read_shapes(
-        folder, chosen["without"], chosen["strict"], options.ProgressBar("read meshes")
-    )
-    about = _description(folder, shapes)
+    folder, without = chosen["prior"], chosen["without"]
+    shapes = ShapeSet([])
+    if folder is not None:
+        names = read_part(chosen["split_file"], "train") if chosen["split_file"] else None
+        bar = options.ProgressBar("read meshes")
+        shapes = read_shapes(folder, without, chosen["strict"], bar, names)
+    about = _description(folder, shapes, config.by_rule)
+    if config.by_rule:
+        bar = options.ProgressBar("make shapes")
+        shapes = shapes + ruled_shapes(config.by_rule, config.seed, without, bar)
     if outputs.resume:
         state = load_training(outputs.output, config, weights, shapes.fingerprint(), device)
         options.log(f"tso: resuming after {state.step} steps")
@@ -128,7 +147,17 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
                 progress=options.ProgressBar("predict starts"),
             )
         drawing = options.ProgressBar("draw scenes")
-        bank = build_bank(shapes, config.scenes, config.seed, device, drawing, predict)
+        chances = options.pick(Chances, chosen)
+        bank = build_bank(
+            shapes,
+            config.scenes,
+            config.seed,
+            device,
+            drawing,
+            predict,
+            chosen["workers"],
+            chances,
+        )
         prepared = time.perf_counter()
         with options.naming(outputs.output):
             stop_reason = train(
@@ -138,6 +167,7 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
                 progress=options.ProgressBar("train"),
                 save=save,
                 save_every=chosen["checkpoint_every"],
+                workers=chosen["workers"],
             )
     seconds = {"prepare": prepared - started, "train": time.perf_counter() - prepared}
     document = _document(state, shapes, about) | {
@@ -167,10 +197,16 @@ def _log_skipped(shapes: ShapeSet) -> None:
         options.log(f"tso: {len(shapes.skipped)} left out in all (--json names all)")
 
 
-def _description(folder: Path, shapes: ShapeSet) -> str:
-    """The meshes in words, such as `meshes: 35 meshes of airplane, chair`."""
-    categories = sorted({shape.category for shape in shapes.shapes})
-    return f"{folder.resolve().name}: {len(shapes.shapes)} meshes of {', '.join(categories)}"
+def _description(folder: Path | None, shapes: ShapeSet, by_rule: int) -> str:
+    """The shapes in words, such as `meshes: 35 meshes of airplane, chair; 24 of each family`."""
+    parts = []
+    if folder is not None:
+        categories = sorted({shape.category for shape in shapes.shapes})
+        meshes = f"{len(shapes.shapes)} meshes of {', '.join(categories)}"
+        parts.append(f"{folder.resolve().name}: {meshes}")
+    if by_rule:
+        parts.append(f"{by_rule} shapes of each family")
+    return "; ".join(parts)
 
 
 def _initial_prior(resume: bool, initial: Path | None) -> Path | None:
@@ -190,10 +226,12 @@ def _document(state: PriorState, shapes: ShapeSet, about: str) -> dict[str, Any]
     """What the JSON document says about state and shapes."""
     from ..version import __version__
 
-    losses = state.history[-LOSS_STEPS:]
+    rows = state.history[-LOSS_STEPS:]
+    means = [sum(column) / len(rows) for column in zip(*rows, strict=True)] or [math.nan]
     return {
         "steps": state.step,
-        "loss": sum(losses) / len(losses) if losses else float("nan"),
+        "loss": sum(means),
+        "left": means[0],
         "training_set": about,
         "categories": dict(sorted(Counter(shape.category for shape in shapes.shapes).items())),
         "left_out": shapes.skipped,
@@ -208,6 +246,6 @@ def _print_summary(document: dict[str, Any]) -> None:
         f"{document['output']}: {steps} steps in {seconds:.0f} s, {document['training_set']}"
     )
     click.echo(
-        f"loss {document['loss']:.3f}, mean of the last {min(LOSS_STEPS, steps)} steps "
-        "(relative to the error of the start; a prior that moves nothing has about 0.9)"
+        f"{document['left']:.3f} of the error of the starts is left, mean of the last "
+        f"{min(LOSS_STEPS, steps)} steps (a prior that moves nothing leaves about 0.9)"
     )

@@ -54,7 +54,7 @@ def _fitted(points: Array, view: View, number: int) -> tuple[View, Finding | Non
     if scale <= 0.0 or not np.isfinite(depth[view.inside]).any():
         return unfitted
     found = Finding("depth-fitted", (number,), values=values | {"scale": scale, "shift": shift})
-    return replace(view, depth=depth, depth_kind="z"), found
+    return replace(view, depth=depth, depth_kind="z", depth_fitted=True), found
 
 
 def without_depth(view: View) -> View:

@@ -53,6 +53,7 @@ class View:
     depth_kind : what the depth map holds (`DepthKind`).
     mask_error : how exactly the mask shows where its outline is, a standard deviation in pixels;
         None if it is not known (`outline_error`).
+    depth_fitted : whether the depth map was brought to the unit of the cloud by a fit to a cloud.
 
     Raises InputError if a size, a value or the camera does not fit, or if the mask is all
     foreground or all background.
@@ -66,6 +67,7 @@ class View:
     image: Floats | None = None
     depth_kind: DepthKind = "auto"
     mask_error: float | None = None
+    depth_fitted: bool = False
 
     def __post_init__(self) -> None:
         mask: Floats = as_numbers(self.mask, f"{self.name}: the mask", np.float32)

@@ -22,7 +22,7 @@ def one_thread() -> Iterator[None]:
     Where several Python threads are inside at once, the first sets the limit and the last lifts it.
     """
     with _lock:
-        _inside.append(_inside[0] if _inside else _controller().limit(limits=1, user_api="blas"))
+        _inside.append(_inside[0] if _inside else _limited())
     try:
         yield
     finally:
@@ -30,6 +30,22 @@ def one_thread() -> Iterator[None]:
             limit = _inside.pop()
             if not _inside:
                 limit.restore_original_limits()
+                _give_up_control()
+
+
+def _limited() -> Any:
+    limit = _controller().limit(limits=1, user_api="blas")
+    _give_up_control()
+    return limit
+
+
+def _give_up_control() -> None:
+    """Let another thread lift the limit: threadpoolctl 3.8 obeys only the thread that set it."""
+    import threadpoolctl
+
+    of_openblas = getattr(threadpoolctl, "OpenBLASController", None)
+    if clear := getattr(of_openblas, "clear_controlling_thread", None):
+        clear()
 
 
 @functools.cache

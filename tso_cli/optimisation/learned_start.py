@@ -47,12 +47,7 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
     """
     start = problem.cloud.start
     targets, frame = problem.targets(weights), Frame.of(start)
-    shown = [
-        Shown.of(view.camera, view.target, start, frame, weight)
-        for view, weight in zip(problem.resampled, problem.all_weights(weights), strict=True)
-        if weight > 0.0
-    ]
-    seen = SeenCloud(start, frame, [view for view in shown if view is not None])
+    seen = seen_cloud(problem, weights, frame)
     answer = seen.ask(prior, start) if seen.views else None
     if answer is None:
         return Beginning(start)
@@ -74,6 +69,27 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
             break
         points, lowest = moved, loss
     return Beginning(points, False, asked, first.sureness)
+
+
+def seen_cloud(problem: Problem, weights: Sequence[float], frame: Frame) -> SeenCloud:
+    """The start and what the views show of it, for a prior."""
+    start, shown = problem.cloud.start, []
+    for windowed, weight in zip(problem.windowed, problem.all_weights(weights), strict=True):
+        if weight > 0.0:
+            view = windowed.resampled
+            shown.append(
+                Shown.of(
+                    view.camera,
+                    view.target,
+                    start,
+                    frame,
+                    weight,
+                    pixels_per_cell=view.pixels_per_cell,
+                    depth=view.depth,
+                    metric=view.depth is not None and not windowed.view.depth_fitted,
+                )
+            )
+    return SeenCloud(start, frame, [view for view in shown if view is not None])
 
 
 def _observed(start: Array, targets: ViewTargets) -> Array:

@@ -62,9 +62,14 @@ class Problem:
         return tuple(windowed.view for windowed in self.given)
 
     @property
-    def resampled(self) -> list[ResampledView]:
+    def windowed(self) -> tuple[WindowedView, ...]:
         """The views that were given, then the flipped ones."""
-        return [windowed.resampled for windowed in (*self.given, *self.flipped)]
+        return (*self.given, *self.flipped)
+
+    @property
+    def resampled(self) -> list[ResampledView]:
+        """Those of `windowed`."""
+        return [windowed.resampled for windowed in self.windowed]
 
     def finely_around(self, points: Array) -> Problem:
         """The same with windows of finer cells around normalised ``points`` [N, 3].

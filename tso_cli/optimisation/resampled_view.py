@@ -45,9 +45,14 @@ class ResampledView:
     depth: Array | None = None
 
     @property
+    def pixels_per_cell(self) -> float:
+        """Pixels of the mask along the side of a cell."""
+        return (self.box[2] - self.box[0]) / self.camera.width
+
+    @property
     def cells_per_mask_pixel(self) -> float:
         """Cells to a pixel of an enlarged mask, else 1: the mask resolves nothing finer."""
-        return max(1.0, self.camera.width / (self.box[2] - self.box[0]))
+        return max(1.0, 1.0 / self.pixels_per_cell)
 
     @cached_property
     def target(self) -> MaskTarget:

@@ -44,6 +44,12 @@ class Backend(Protocol):
     def convolved(self, maps: Any, kernel: Any, offset: Any, stride: int) -> Any:
         """``maps`` [B, C, H, W] with a ``kernel`` [D, C, 3, 3] and a margin of one zero."""
 
+    def linear(self, values: Any, matrix: Any, offset: Any) -> Any:
+        """``values`` [..., C] times a ``matrix`` [C, D], plus an ``offset`` [D]."""
+
+    def activated(self, values: Any) -> Any:
+        """``values`` times their logistic function (SiLU)."""
+
     def sampled(self, maps: Any, places: Any) -> Any:
         """[B, N, C]: ``maps`` [B, C, H, W] of [-1, 1]^2, bilinear at ``places`` [B, N, 2].
 
@@ -86,6 +92,12 @@ class NumpyBackend:
         windows = self._windows(maps, 0.0)[:, :, ::stride, ::stride]
         product = np.tensordot(windows, kernel, ((1, 4, 5), (1, 2, 3)))
         return np.moveaxis(product, -1, 1) + offset[:, None, None]
+
+    def linear(self, values: Any, matrix: Any, offset: Any) -> Any:
+        return values @ matrix + offset
+
+    def activated(self, values: Any) -> Any:
+        return values / (1.0 + np.exp((-values).clip(-60.0, 60.0)))
 
     def sampled(self, maps: Any, places: Any) -> Any:
         height, width = maps.shape[2:]

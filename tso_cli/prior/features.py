@@ -40,8 +40,37 @@ NEAREST = 1e-3
 # Where a cell has no point.
 NO_DEPTH = -9.0
 # Numbers of a view, of a node, and of the lattice: the sizes of the network's input.
-MAPS, OF_NODE, OF_LATTICE = 8, 16, 8
-OF_VIEW = 9 + OF_LATTICE * LATTICE**3
+MAPS, OF_NODE, OF_LATTICE = 11, 18, 8
+OF_VIEW = 12 + OF_LATTICE * LATTICE**3
+# Depths that are further from the cloud's front than this are as far.
+FAR_DEPTH = 0.3
+# The size of an object in pixels that counts as 0.
+USUAL_SIZE = 64.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What B views show, in the axes of each.
+
+    closeness : [B], u.
+    distance, known : [B, GRID, GRID] signed distance to the mask, positive outside, and 1 where the
+        picture is, 0 beyond its border.
+    cells, counted : [B, K, 2] places w in the foreground, and [B, K] 1 for those that count.
+    depth, measured : [B, GRID, GRID] z of the visible surface, and 1 where a depth map has it.
+    metric : [B], 1 for a depth map of the cloud's unit, 0 for one that was fitted to the cloud, or
+        without a map.
+    size : [B], the longest side of the cloud in pixels of the mask.
+    """
+
+    closeness: Any
+    distance: Any
+    known: Any
+    cells: Any
+    counted: Any
+    depth: Any
+    measured: Any
+    metric: Any
+    size: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,29 +89,14 @@ class Features:
     basis: Any
 
 
-def features(
-    backend: Backend,
-    points: Any,
-    nodes: int,
-    closeness: Any,
-    distance: Any,
-    known: Any,
-    cells: Any,
-    counted: Any,
-) -> Features:
-    """The features of clouds and their masks, for numpy or torch.
+def features(backend: Backend, points: Any, nodes: int, sight: Sight) -> Features:
+    """The features of clouds and of what is seen of them, for numpy or torch.
 
-    Parameters
-    ----------
-    points : [B, M, 3] in the axes of the view; the first ``nodes`` of them are nodes.
-    closeness : [B], u.
-    distance, known : [B, GRID, GRID] signed distance to the mask, positive outside, and 1 where the
-        picture is, 0 beyond its border.
-    cells, counted : [B, K, 2] places w in the foreground, and [B, K] 1 for those that count.
+    ``points`` [B, M, 3] are in the axes of the view; the first ``nodes`` of them are nodes.
     """
     xp = backend.xp
-    depth = 1.0 + closeness[:, None, None] * points[..., 2:]
-    w = points[..., :2] / depth.clip(NEAREST, np.inf)
+    distance, known, cells, counted = sight.distance, sight.known, sight.cells, sight.counted
+    w = seen_at(points, sight.closeness)
     shown = _maps(backend, points, w, distance, known)
     low, high = xp.amin(points, 1), xp.amax(points, 1)
     extent, middle = high - low, (high + low) / 2.0
@@ -93,7 +107,14 @@ def features(
     slope = _slope(backend, distance, seen)
     mean, length, count, share = _pull(backend, points, w, nodes, cells, counted)
     within = (y - middle[:, None]) / (extent[:, None] / 2.0 + 1e-3)
+    ahead = sight.measured * shown.closed * (sight.depth - shown.front)
+    surface = xp.stack([sight.depth * sight.measured, sight.measured], axis=1)
+    surface = backend.sampled(surface, seen / HALF)
+    measured = surface[..., 1:]
+    behind = surface[..., :1] / measured.clip(0.25, np.inf) - y[..., 2:]
+    behind = behind.clip(-FAR_DEPTH, FAR_DEPTH) * measured
     of_nodes = [y * 2.0, within, here * 5.0, slope, mean, length, count, share]
+    of_nodes += [behind * 5.0, measured]
 
     basis = bernstein(backend, ((within + 1.0) / 2.0).clip(-0.2, 1.2))
     beyond = here[..., :1].clip(0.0, 0.2)
@@ -106,10 +127,14 @@ def features(
 
     uncovered = (shown.mismatch.clip(0.0, 1.0) * shown.inside).mean((1, 2))
     outside = _indicator(xp, shown.mismatch < -0.5, known).mean((1, 2))
-    numbers = xp.stack([uncovered * 20.0, outside * 20.0, closeness * 5.0 - 2.0], axis=1)
+    numbers = [uncovered * 20.0, outside * 20.0, sight.closeness * 5.0 - 2.0]
+    numbers += [xp.log(sight.size / USUAL_SIZE), sight.metric, sight.measured.mean((1, 2)) * 4.0]
+    numbers = xp.stack(numbers, axis=1)
     of_view = [extent * 2.0, middle * 4.0, numbers, pooled.reshape(len(points), -1)]
     maps = [distance.clip(-FAR, FAR) * 5.0, shown.rough * 5.0, shown.inside, shown.closed]
     maps += [shown.mismatch, known, shown.front * 2.0, shown.back * 2.0]
+    maps += [sight.depth * sight.measured * 2.0, ahead.clip(-FAR_DEPTH, FAR_DEPTH) * 5.0]
+    maps += [sight.measured]
     return Features(
         xp.stack(maps, axis=1),
         xp.concatenate(of_nodes, axis=-1),
@@ -117,6 +142,18 @@ def features(
         seen / HALF,
         basis,
     )
+
+
+def seen_at(points: Any, closeness: Any) -> Any:
+    """[B, M, 2], the places w at which ``points`` [B, M, 3] in the axes of a view are seen."""
+    depth = 1.0 + closeness[:, None, None] * points[..., 2:]
+    return points[..., :2] / depth.clip(NEAREST, np.inf)
+
+
+def front_of(backend: Backend, points: Any, closeness: Any) -> tuple[Any, Any]:
+    """The nearest depth of ``points`` [B, M, 3] in each cell, and 1 where they cover the cell."""
+    front, _, closed = _depths(backend, points, seen_at(points, closeness))
+    return front, closed
 
 
 def bernstein(backend: Backend, t: Any) -> Any:
@@ -147,6 +184,15 @@ class _Maps:
 
 def _maps(backend: Backend, points: Any, w: Any, distance: Any, known: Any) -> _Maps:
     xp = backend.xp
+    front, back, closed = _depths(backend, points, w)
+    inside = 1.0 / (1.0 + xp.exp((distance / (0.35 * CELL)).clip(-40.0, 40.0)))
+    mismatch = (inside - closed) * known
+    return _Maps(inside, closed, mismatch, _rough_distance(backend, closed), front, back)
+
+
+def _depths(backend: Backend, points: Any, w: Any) -> tuple[Any, Any, Any]:
+    """[B, GRID, GRID] each: nearest and farthest depth, and 1 in the cells that points cover."""
+    xp = backend.xp
     cell = xp.floor((w + HALF) / CELL)
     within = ((cell >= 0) & (cell < GRID)).all(-1)
     index = cell[..., 1] * GRID + cell[..., 0]
@@ -155,19 +201,17 @@ def _maps(backend: Backend, points: Any, w: Any, distance: Any, known: Any) -> _
 
     def most(depth: Any) -> Any:
         """The largest depth in a cell and its neighbours, so that gaps have a depth too."""
-        found = backend.largest(index, depth, GRID * GRID + 1, NO_DEPTH)[:, :-1]
-        return backend.dilated(found.reshape(len(points), 1, GRID, GRID))
+        largest = backend.largest(index, depth, GRID * GRID + 1, NO_DEPTH)[:, :-1]
+        return backend.dilated(largest.reshape(len(points), 1, GRID, GRID))
 
     back, front = most(points[..., 2]), -most(-points[..., 2])
     closed = -backend.dilated(-_indicator(xp, back > NO_DEPTH, back))
-    inside = 1.0 / (1.0 + xp.exp((distance / (0.35 * CELL)).clip(-40.0, 40.0)))
     front, back = (xp.where(closed > 0.0, depth, 0.0 * depth)[:, 0] for depth in (front, back))
-    mismatch = (inside - closed[:, 0]) * known
-    return _Maps(inside, closed[:, 0], mismatch, _rough_distance(backend, closed), front, back)
+    return front, back, closed[:, 0]
 
 
 def _rough_distance(backend: Backend, closed: Any) -> Any:
-    """[B, GRID, GRID] signed distance to cells [B, 1, GRID, GRID], by dilation at half the size."""
+    """[B, GRID, GRID] signed distance to ``closed`` cells, by dilation at half the size."""
     xp, half = backend.xp, GRID // 2
     halved = closed.reshape(len(closed), 1, half, 2, half, 2).mean((3, 5))
     inside = _indicator(xp, halved > 0.3, halved)
@@ -175,9 +219,14 @@ def _rough_distance(backend: Backend, closed: Any) -> Any:
     for _ in range(round(FAR / (2.0 * CELL))):
         steps = steps + (1.0 - inside) - (1.0 - outside)
         inside, outside = backend.dilated(inside), backend.dilated(outside)
-    distance = steps[:, 0] * (2.0 * CELL)
-    four = xp.stack([xp.stack([distance, distance], axis=-1)] * 2, axis=2)
-    return four.reshape(len(closed), GRID, GRID)
+    return doubled(xp, steps * (2.0 * CELL))[:, 0]
+
+
+def doubled(xp: Any, maps: Any) -> Any:
+    """``maps`` [B, C, H, W] with twice as many cells each way."""
+    batch, channels, height, width = maps.shape
+    four = xp.stack([xp.stack([maps, maps], axis=-1)] * 2, axis=3)
+    return four.reshape(batch, channels, 2 * height, 2 * width)
 
 
 def _slope(backend: Backend, distance: Any, places: Any) -> Any:

@@ -15,7 +15,7 @@ from ..io.reading import read_bytes, shown
 from ..io.shipped import DEFAULT_PRIOR
 from .network import shapes
 
-FORMAT = "tso-prior-1"
+FORMAT = "tso-prior-2"
 METADATA_KEY = "tso"
 EXPECTED = "a learned prior, as tso train writes it"
 # A prior has about 3 MB.

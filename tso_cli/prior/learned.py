@@ -14,7 +14,7 @@ from ..geometry.arrays import Array, Indices
 from ..io.shipped import LEARNED, NO_PRIOR
 from ..losses.nearest import nearest_few
 from .backend import NUMPY
-from .features import DENSE, INTERPOLATED_FROM, NODES, features
+from .features import DENSE, INTERPOLATED_FROM, NODES, Sight, features
 from .file import EXPECTED, read_prior, shipped_prior
 from .network import Weights, fused, predict
 from .view import Frame, Shown
@@ -54,10 +54,26 @@ class Answer:
 
     displacements : [N, 3]. sureness : the mean logarithm of the weights along the lines of sight,
         over points and views; low where the depth is hard to guess.
+    cells, troubles : [V, KINDS_OF_CELL, GRID, GRID] and [V, T], probabilities, see
+        `network.Answers`.
     """
 
     displacements: Array
     sureness: float
+    cells: Array
+    troubles: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _OfView:
+    """What a prior answers in one view: displacements and logarithms of weights [N, 3] in the axes
+    of the view, and the probabilities of `network.Answers`.
+    """
+
+    displacements: Array
+    log_weights: Array
+    cells: Array
+    troubles: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,15 +95,22 @@ class SeenCloud:
         None where the answer is not finite.
         """
         framed = (points - self.frame.centre) / self.frame.scale
-        of_views = []
-        for view, samples in zip(self.views, self._samples, strict=True):
-            of_views.append(_answer(prior, framed @ view.rotation.T, view, samples))
-        displacements, log_weights = (np.stack(part)[None] for part in zip(*of_views, strict=True))
+        of_views = [
+            _answer(prior, framed @ view.rotation.T, view, samples)
+            for view, samples in zip(self.views, self._samples, strict=True)
+        ]
+        displacements = np.stack([said.displacements for said in of_views])[None]
+        log_weights = np.stack([said.log_weights for said in of_views])[None]
         rotations = np.stack([view.rotation for view in self.views])[None]
         weighed = log_weights + np.log([view.weight for view in self.views])[:, None, None]
         moves: Array = self.frame.scale * fused(NUMPY, displacements, weighed, rotations)[0]
         sureness = float(log_weights[..., 2].mean())
-        return Answer(moves, sureness) if np.isfinite(moves).all() else None
+        if not np.isfinite(moves).all():
+            return None
+        cells, troubles = (
+            np.stack([getattr(said, name) for said in of_views]) for name in ("cells", "troubles")
+        )
+        return Answer(moves, sureness, cells, troubles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,35 +152,35 @@ def _samples(points: Array) -> list[_Sample]:
     return [_Sample.of(points, along, (number + 0.5) / SAMPLES) for number in range(SAMPLES)]
 
 
-def _answer(
-    prior: LearnedPrior, points: Array, view: Shown, samples: Sequence[_Sample]
-) -> tuple[Array, Array]:
-    """What the ``prior`` answers in a view, the mean over ``samples`` of the points.
-
-    Returns
-    -------
-    [N, 3] displacements of the ``points`` [N, 3], and logarithms of weights, in the view's axes.
-    """
+def _answer(prior: LearnedPrior, points: Array, view: Shown, samples: Sequence[_Sample]) -> _OfView:
+    """What the ``prior`` answers in a view, the mean over ``samples`` of the ``points`` [N, 3]."""
     dense = points[np.stack([sample.chosen for sample in samples])]
 
-    def alike(array: Array) -> Array:
-        return np.broadcast_to(array, (len(dense), *array.shape))
+    def alike(value: Array | float) -> Array:
+        return np.broadcast_to(value, (len(dense), *np.shape(value)))
 
-    given = features(
-        NUMPY,
-        dense,
-        min(NODES, dense.shape[1]),
-        np.full(len(dense), view.closeness),
-        alike(view.distance),
-        alike(view.known),
-        alike(view.cells),
-        np.ones((len(dense), len(view.cells))),
+    sight = Sight(
+        closeness=alike(view.closeness),
+        distance=alike(view.distance),
+        known=alike(view.known),
+        cells=alike(view.cells),
+        counted=np.ones((len(dense), len(view.cells))),
+        depth=alike(view.depth),
+        measured=alike(view.measured),
+        metric=alike(float(view.metric)),
+        size=alike(view.size),
     )
-    displacements, log_weights = (
-        np.mean([sample.spread(one) for sample, one in zip(samples, each, strict=True)], axis=0)
-        for each in predict(NUMPY, prior.weights, given)
+    said = predict(NUMPY, prior.weights, features(NUMPY, dense, min(NODES, dense.shape[1]), sight))
+
+    def spread(of_nodes: Array) -> Array:
+        each = [part.spread(values) for part, values in zip(samples, of_nodes, strict=True)]
+        mean: Array = np.mean(each, axis=0)
+        return mean
+
+    cells, troubles = (
+        np.mean(1.0 / (1.0 + np.exp(-values)), axis=0) for values in (said.cells, said.troubles)
     )
-    return displacements, log_weights
+    return _OfView(spread(said.displacements), spread(said.log_weights), cells, troubles)
 
 
 def _every(total: int, count: int, shift: float) -> Indices:

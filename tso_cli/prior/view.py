@@ -54,8 +54,10 @@ class Shown:
     """A view for the prior.
 
     rotation : [3, 3], from the axes of the cloud to those of the view. closeness : u.
-    weight : how much it counts. distance, known : [GRID, GRID].
+    weight : how much it counts. distance, known, depth, measured : [GRID, GRID], see
+        `features.Sight`.
     cells : [K, 2], the centres of the cells in the foreground.
+    metric : whether the depth map has the unit of the cloud. size : the frame in pixels.
     """
 
     rotation: Array
@@ -63,30 +65,45 @@ class Shown:
     weight: float
     distance: Array
     known: Array
+    depth: Array
+    measured: Array
     cells: Array
+    metric: bool
+    size: float
 
     @classmethod
     def of(
-        cls, camera: Camera, mask: MaskTarget, start: Array, frame: Frame, weight: float = 1.0
+        cls,
+        camera: Camera,
+        mask: MaskTarget,
+        start: Array,
+        frame: Frame,
+        weight: float = 1.0,
+        *,
+        pixels_per_cell: float = 1.0,
+        depth: Array | None = None,
+        metric: bool = False,
     ) -> Shown | None:
         """What a ``camera`` shows of the ``start`` [N, 3], by the cells of its ``mask``.
 
-        None where the frame of the start is at the camera.
+        ``depth`` [H, W] along z is of the cells of the mask, NaN where unknown. None where the
+        frame of the start is at the camera.
         """
         middle = camera.R @ frame.centre + camera.t
-        rotation, closeness = camera.R, 0.0
+        turn, rotation, closeness = np.eye(3), camera.R, 0.0
         per_unit = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
         if camera.model == "perspective":
             away = float(np.linalg.norm(middle))
             if middle[2] < NEAR or away < NEAR:
                 return None
-            rotation, closeness = turn_to_front(middle) @ camera.R, frame.scale / away
+            turn, closeness = turn_to_front(middle), frame.scale / away
+            rotation = turn @ camera.R
             # Off the axis of the picture an object is stretched away from the middle.
             per_unit /= away * (middle[2] / away) ** 1.5
         centres = (np.arange(GRID) + 0.5) * CELL - HALF
         w = np.stack(np.meshgrid(centres, centres), -1).reshape(-1, 2)
-        places, depth = camera.project(frame.centre + frame.scale * w @ rotation[:2])
-        seen = np.isfinite(places).all(1) & (depth > NEAR)
+        places, away_z = camera.project(frame.centre + frame.scale * w @ rotation[:2])
+        seen = np.isfinite(places).all(1) & (away_z > NEAR)
         places = np.where(seen[:, None], places, 0.0)
         left, top, right, bottom = _picture(mask)
         inner = np.clip(places, (left, top), (right - 1.0, bottom - 1.0))
@@ -97,8 +114,28 @@ class Shown:
             distance += np.linalg.norm(places - inner, axis=1)
         distance = np.where(seen, distance / (per_unit * frame.scale), FAR)
         cells = w[(distance < 0.0) & known]
-        maps = (distance.reshape(GRID, GRID), known.reshape(GRID, GRID).astype(float))
-        return cls(rotation, closeness, weight, maps[0], maps[1], cells)
+        z, measured = np.zeros((2, len(places)))
+        if depth is not None:
+            rows, columns = np.rint(inner[:, 1]).astype(int), np.rint(inner[:, 0]).astype(int)
+            nearest = np.where(mask.inside, depth, np.nan)[rows, columns]
+            measured = (seen & np.isfinite(nearest) & mask.in_image(places)).astype(float)
+            nearest = np.nan_to_num(nearest)
+            rays = np.column_stack([places, np.ones(len(places))]) @ np.linalg.inv(camera.K).T
+            z = (rays * nearest[:, None] - middle) @ turn[2] / frame.scale * measured
+        square = (GRID, GRID)
+        size = per_unit * frame.scale * pixels_per_cell
+        return cls(
+            rotation,
+            closeness,
+            weight,
+            distance.reshape(square),
+            known.reshape(square).astype(float),
+            z.reshape(square),
+            measured.reshape(square),
+            cells,
+            metric,
+            size,
+        )
 
 
 def _picture(mask: MaskTarget) -> tuple[int, int, int, int]:

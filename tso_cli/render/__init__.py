@@ -5,6 +5,8 @@ the origin. At azimuth 0 it looks along -z, and with growing azimuth it moves to
 and elevation 0 its R is the canonical rotation.
 """
 
-from .folder import ground_truth, normalise, render_folder, render_mesh
+from .families import FAMILIES, shape_of
+from .folder import ground_truth, render_folder, render_mesh
+from .normalise import normalise
 from .rays import RayScene, RenderedView, render_view
 from .viewpoints import RenderSettings, fitting_distance, look_at, sample_cameras

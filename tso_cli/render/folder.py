@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ from ..geometry.arrays import Array, Floats
 from ..geometry.points import farthest_point_sample, sample_surface
 from ..io.meshes import Mesh, find_meshes, read_mesh
 from ..version import __version__
+from .families import Rng, shape_of
+from .normalise import normalise
 from .rays import RayScene, RenderedView, render_view
 from .variation import paint, warp
 from .viewpoints import RenderSettings, sample_cameras
@@ -30,18 +32,6 @@ class RenderedObject:
     views: list[RenderedView]
     samples: Floats  # [S, 3] points of the surface
     target: Floats  # [P, 3] those samples that farthest-point sampling chooses
-
-
-def normalise(mesh: Mesh) -> Mesh:
-    """The mesh centred on its bounding box and scaled to longest side 1.
-
-    Vertices that no face uses are removed.
-    """
-    used, faces = np.unique(mesh.faces, return_inverse=True)
-    vertices = mesh.vertices[used]
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    vertices = (vertices - (low + high) / 2.0) / (high - low).max()
-    return replace(mesh, vertices=vertices, faces=faces.reshape(mesh.faces.shape).astype(np.int64))
 
 
 def ground_truth(
@@ -74,13 +64,14 @@ class RenderSummary:
 
 
 def render_folder(
-    source: Path,
+    source: Path | None,
     output: Path,
     settings: RenderSettings,
     seed: int = 0,
     overwrite: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
     only: Collection[str] | None = None,
+    families: Mapping[str, int] | None = None,
 ) -> RenderSummary:
     """Render a mesh, or every mesh of a folder, into ``output``/NAME as `datasets.rendered` says.
 
@@ -93,6 +84,8 @@ def render_folder(
     Parameters
     ----------
     only : names of the meshes to render; None means all.
+    families : name of a family (`families.FAMILIES`) -> how many of its shapes to render too. They
+        are called FAMILY/rule-00001 and so on, and have no copies.
     progress : called with the number of objects done, their total and the name of the last one.
 
     Raises InputError if
@@ -104,7 +97,7 @@ def render_folder(
     Raises TsoError if open3d is missing or writing failed.
     """
     _check_folder(output)
-    meshes = _named_meshes(source, output)
+    meshes = {} if source is None else named_meshes(source, output)
     if only is not None:
         names = set(only)
         if missing := sorted(names - set(meshes)):
@@ -115,36 +108,45 @@ def render_folder(
         meshes = {name: path for name, path in meshes.items() if name in names}
     record = {"tso": __version__, "seed": seed, **asdict(settings)}
     summary = RenderSummary(output)
-    objects = [
-        (copied(name, copy), path, copy)
-        for name, path in meshes.items()
-        for copy in range(settings.copies + 1)
-    ]
+    # The copies of a mesh come one after another: one cached mesh is enough.
+    within = source if source is not None and source.is_dir() else None
+    read = lru_cache(1)(partial(read_mesh, within=within))
+    objects: list[tuple[str, Path | str, Callable[[Rng], Mesh]]] = []
+    for name, path in meshes.items():
+        objects.append((name, path, partial(_read, read, path)))
+        for copy in range(1, settings.copies + 1):
+            objects.append((copied(name, copy), path, partial(_warped, read, path)))
+    for family, count in (families or {}).items():
+        for number in range(1, count + 1):
+            name = f"{family}/rule-{number:05d}"
+            objects.append((name, name, partial(_by_rule, family, seed, number)))
     with writing(output) as writer:
         # All objects are checked first: a conflict of settings must not come up after an hour.
         waiting = []
-        for name, path, copy in objects:
-            if _is_rendered(output / name, record, overwrite):
-                summary.skipped.append(name)
+        for item in objects:
+            if _is_rendered(output / item[0], record, overwrite):
+                summary.skipped.append(item[0])
             else:
-                waiting.append((name, path, copy))
-        # The copies of a mesh come one after another: one cached mesh is enough.
-        read = lru_cache(1)(partial(read_mesh, within=source if source.is_dir() else None))
-        for done, (name, path, copy) in enumerate(waiting, 1):
+                waiting.append(item)
+        for done, (name, origin, make) in enumerate(waiting, 1):
             try:
                 rng = np.random.default_rng(
                     [seed, zlib.crc32(name.encode(errors="surrogateescape"))]
                 )
-                mesh = read(path)
-                rendered = render_mesh(warp(normalise(mesh), rng) if copy else mesh, settings, rng)
+                rendered = render_mesh(make(rng), settings, rng)
             except InputError as error:
                 if len(objects) == 1:
                     raise
-                summary.failed[name] = str(error) if str(path) in str(error) else f"{path}: {error}"
+                message = str(error)
+                summary.failed[name] = message if str(origin) in message else f"{origin}: {message}"
             else:
                 views = [(view.image, view.mask, view.camera) for view in rendered.views]
                 writer.write(
-                    name, views, rendered.samples, rendered.target, {"mesh": path.name, **record}
+                    name,
+                    views,
+                    rendered.samples,
+                    rendered.target,
+                    {"mesh": Path(origin).name, **record},
                 )
                 summary.written.append(name)
             if progress is not None:
@@ -153,6 +155,18 @@ def render_folder(
         first = next(iter(summary.failed.values()))
         raise InputError(f"none of {len(objects)} objects could be rendered, the first: {first}")
     return summary
+
+
+def _read(read: Callable[[Path], Mesh], path: Path, rng: Rng) -> Mesh:
+    return read(path)
+
+
+def _warped(read: Callable[[Path], Mesh], path: Path, rng: Rng) -> Mesh:
+    return warp(normalise(read(path)), rng)
+
+
+def _by_rule(family: str, seed: int, number: int, rng: Rng) -> Mesh:
+    return shape_of(family, [seed, number])
 
 
 def _is_rendered(folder: Path, record: dict[str, Any], overwrite: bool) -> bool:
@@ -178,7 +192,7 @@ def _check_folder(output: Path) -> None:
         raise InputError(f"{output}: the folder {parent} does not exist, expected one to write to")
 
 
-def _named_meshes(source: Path, output: Path) -> dict[str, Path]:
+def named_meshes(source: Path, output: Path) -> dict[str, Path]:
     """Name -> mesh, for every mesh of ``source`` that does not lie in ``output``."""
     if not source.is_dir():
         return {source.stem: source}

@@ -98,6 +98,13 @@ class RayScene:
             "barycentric": hits["primitive_uvs"].numpy(),
         }
 
+    def first(self, start: Array, along: Array) -> Array:
+        """[N]: how often ``along`` [N, 3] fits between ``start`` [N, 3] and the first hit."""
+        rays = np.concatenate([start, along], 1).astype(np.float32)
+        distance = self._scene.cast_rays(self._o3d.core.Tensor(rays))["t_hit"].numpy()
+        distances: Array = distance.astype(np.float64)
+        return distances
+
     def colours(self, hits: dict[str, Any]) -> Pixels:
         """The mesh's colour [R, C, 3] without light at the ``hits`` of `cast`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -30,11 +31,13 @@ class TrainConfig:
     category_sigma_sq : category -> its variance, in place of ``sigma_sq``.
     joint_weight : weight of the Chamfer distance relative to the mask loss ("joint" only); 1e6,
         like gamma in refinement.
+    decay : "none", or "cosine": the learning rate falls to 0 along half a cosine.
     averaging : decay of the running mean of the weights, which is saved; 0 saves the last weights.
     balance, augment : see `batches.Drawing`.
     workers : threads that prepare batches ahead.
     precision : "bfloat16" runs the layers of the network in mixed precision. Weights, losses and
         projector stay in float32.
+    recipe : name and digest of the file that the settings are from, or None.
     seed : seed of the weights and of every draw. A run depends on the seed, the data and the device
         alone.
     """
@@ -44,6 +47,7 @@ class TrainConfig:
     steps: int = 1000
     batch_size: int = 16
     learning_rate: float = 5e-5
+    decay: str = "none"
     views: int = 4
     affinity_weight: float = 1.0
     affinity: str = "points"
@@ -57,6 +61,7 @@ class TrainConfig:
     augment: bool = False
     precision: str = "float32"
     workers: int = 1
+    recipe: str | None = None
     seed: int = 0
     device: str = "cpu"
 
@@ -79,3 +84,9 @@ class TrainConfig:
             raise InputError(
                 f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more"
             )
+
+    def rate(self, step: int) -> float:
+        """The learning rate of ``step``, which counts from 0."""
+        if self.decay == "none":
+            return self.learning_rate
+        return self.learning_rate * (1.0 + math.cos(math.pi * step / self.steps)) / 2.0

@@ -56,6 +56,11 @@ def network_config(data: TrainingData, config: TrainConfig, steps: int) -> Netwo
     """The configuration in a checkpoint after ``steps`` steps."""
     names = ("batch_size", "learning_rate", "averaging", "balance", "augment", "precision")
     settings: dict[str, Any] = {name: getattr(config, name) for name in names}
+    if config.recipe:
+        settings["recipe"] = config.recipe
+    if config.decay != "none":
+        # The rate of a step depends on the number of all.
+        settings |= {"decay": config.decay, "decay_steps": config.steps}
     if config.supervision != "points":
         settings |= {
             "views": config.views if config.supervision == "masks" else 1,
@@ -166,6 +171,8 @@ def train(
                     f"(learning rate {config.learning_rate:g}); {saved}"
                 )
             processes.average(p.grad for p in state.network.parameters() if p.grad is not None)
+            for group in state.optimiser.param_groups:
+                group["lr"] = config.rate(state.step)
             state.optimiser.step()
             state.history.append((value, first, second, weight))
             state.update_average(config.averaging)

@@ -14,4 +14,5 @@ def shapes():
 
 @pytest.fixture(scope="package")
 def bank(shapes):
+    pytest.importorskip("open3d")  # draws depth maps
     return build_bank(shapes, 60, seed=0)

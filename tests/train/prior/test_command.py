@@ -49,6 +49,7 @@ def test_trains_on_a_folder_and_reports_it(train, folder, tmp_path):
     assert list(document["left_out"]) == ["car"]
     assert "has 1 usable objects of the category 'car'" in done.err
     settings = {"steps": 2, "batch_size": 2, "scenes": 3, "seed": 0}
+    settings |= {"by_rule": 0, "marred": 0.4, "depth_maps": 0.4, "precision": "float32"}
     assert document["settings"] == settings | {"device": "cpu"}
     about = read_prior(tmp_path / "my.safetensors")[1]
     assert about["training_set"] == "shapes: 3 meshes of chair"
@@ -204,7 +205,8 @@ def test_defaults_and_names_of_options_are_those_of_the_settings():
     assert train_prior.PRIOR_DEFAULTS["steps"] == config.steps
     assert train_prior.PRIOR_DEFAULTS["batch_size"] == config.batch_size
     assert parameters["scenes"].default == config.scenes
-    assert parameters["predictions"].default == config.predictions
+    for name in ("predictions", "by_rule", "marred", "depth_maps"):
+        assert parameters[name].default == getattr(config, name)
     assert set(train_prior.OF_BOTH) | set(train_prior.OF_PRIOR) <= set(parameters)
 
 

@@ -11,8 +11,9 @@ from safetensors.torch import load_file, save_file
 from tso_cli.errors import InputError, TsoError
 from tso_cli.prior.file import read_prior
 from tso_cli.prior.network import initial
-from tso_cli.train.prior.config import LEARNING_RATE, PriorConfig
+from tso_cli.train.prior.config import PriorConfig
 from tso_cli.train.prior.loop import train
+from tso_cli.train.prior.loss import PARTS
 from tso_cli.train.prior.state import load_training, new_state, save_training, write_history
 from tso_cli.train.state import state_path
 
@@ -24,7 +25,8 @@ def objective(weights, batch, generator):
     """Takes a millisecond, and depends on all that the true loss depends on."""
     noise = torch.randn((), generator=generator)
     squares = sum(weight.square().mean() for weight in weights.values())
-    return squares * (1.0 + batch.start.abs().mean() + 0.1 * noise.abs())
+    loss = squares * (1.0 + batch.start.abs().mean() + 0.1 * noise.abs())
+    return torch.stack([loss, 0.1 * loss, 0.2 * loss, 0.3 * loss])
 
 
 def begin():
@@ -69,15 +71,15 @@ def test_the_weights_change_and_the_given_ones_stay(bank):
 
 def test_the_rate_rises_then_falls_to_zero():
     config = PriorConfig(steps=2000)
-    rates = [config.learning_rate(step) for step in range(2001)]
-    assert rates[0] == pytest.approx(LEARNING_RATE / 100.0)
-    assert rates[99] == pytest.approx(LEARNING_RATE, rel=0.01) == max(rates)
-    assert rates[1000] == pytest.approx(LEARNING_RATE / 2.0)
+    rates = [config.rate(step) for step in range(2001)]
+    assert rates[0] == pytest.approx(0.01)
+    assert rates[99] == pytest.approx(1.0, rel=0.01) == max(rates)
+    assert rates[1000] == pytest.approx(0.5)
     assert rates[2000] == 0.0
 
 
 def test_a_short_training_rises_for_a_tenth_of_it():
-    assert PriorConfig(steps=16).learning_rate(1) > 0.9 * LEARNING_RATE
+    assert PriorConfig(steps=16).rate(1) > 0.9
 
 
 def test_a_resumed_training_gives_the_same_bits(bank, finished, tmp_path):
@@ -98,6 +100,12 @@ def test_a_resumed_training_gives_the_same_bits(bank, finished, tmp_path):
     same_state(resumed, straight)
     assert path.read_bytes() == straight_path.read_bytes()
     assert state_path(path).read_bytes() == state_path(straight_path).read_bytes()
+
+
+def test_the_number_of_workers_does_not_change_a_bit(bank, finished):
+    both = begin()
+    run(bank, both, workers=2)
+    same_state(both, finished[1])
 
 
 def test_a_second_ctrl_c_stops_at_once(bank):
@@ -162,7 +170,7 @@ def test_a_damaged_state_is_refused(finished):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda tensors: tensors.pop("exp_avg.view1"), r"exp_avg\.view1 is missing"),
+        (lambda tensors: tensors.pop("momentum.view1"), r"momentum\.view1 is missing"),
         (lambda tensors: tensors.update(history=torch.zeros(3)), "history has shape"),
         (lambda tensors: tensors["view2"].fill_(torch.nan), "not finite"),
     ],
@@ -183,7 +191,7 @@ def test_a_state_whose_tensors_were_changed_is_refused(finished, change, message
 def test_a_network_is_no_state_of_a_prior(finished):
     path = state_path(finished[0])
     path.write_bytes(finished[0].read_bytes())
-    with pytest.raises(InputError, match="format in the metadata is 'tso-prior-1'"):
+    with pytest.raises(InputError, match="format in the metadata is 'tso-prior-2'"):
         load(finished[0])
 
 
@@ -208,7 +216,8 @@ def test_the_log_has_settings_and_losses(finished, tmp_path):
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert lines[0]["batch_size"] == 2
     assert lines[1:] == [
-        {"step": step, "loss": value} for step, value in enumerate(finished[1].history, 1)
+        {"step": step, "loss": sum(parts), **dict(zip(PARTS, parts, strict=True))}
+        for step, parts in enumerate(finished[1].history, 1)
     ]
 
 
@@ -223,4 +232,5 @@ def test_the_true_loss_falls(bank):
     state = begin()
     config = PriorConfig(steps=40, batch_size=16, scenes=60)
     train(bank, config, state)
-    assert np.mean(state.history[-8:]) < 0.97 * np.mean(state.history[:8])
+    parts = np.array(state.history)
+    assert (parts[-8:].mean(0) < 0.97 * parts[:8].mean(0)).all()

@@ -90,11 +90,12 @@ def test_a_camera_above_the_horizon_sees_the_top():
     assert np.median(above) == pytest.approx(np.sin(np.radians(17.0)), abs=0.15)
 
 
-def test_upright_objects_are_mostly_seen_upright():
+def test_objects_are_seen_upright_in_half_of_the_views_and_else_at_any_roll():
     rng = np.random.default_rng(3)
     ups = [draw_view(rng, draw_pose(rng))[0] @ [0.0, 1.0, 0.0] for _ in range(300)]
     # y is down in the view.
-    assert np.mean([up[1] < 0.0 for up in ups]) > 0.8
+    upright = [up[1] < -0.95 * np.hypot(up[0], up[1]) for up in ups]
+    assert 0.4 < np.mean(upright) < 0.65
 
 
 def test_the_canonical_view_looks_along_minus_z():

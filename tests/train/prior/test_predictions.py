@@ -22,13 +22,17 @@ from tso_cli.train.prior.predictions import (
     Predictor,
     draw_predictions,
 )
-from tso_cli.train.prior.scenes import draw_scenes
+from tso_cli.train.prior.scenes import numbered_scene
 from tso_cli.train.prior.shapes import POINTS
 from tso_cli.train.prior.starts import draw
 
 from ...lab.studying import thin_checkpoint
 
 MESHES = examples_folder() / "meshes"
+
+
+def draw_scenes(shapes, count, seed):
+    return [numbered_scene(shapes, shapes.chances(), seed, number) for number in range(count)]
 
 
 @pytest.fixture
@@ -115,7 +119,7 @@ def test_pictures_that_are_predicted_from_are_upright_and_not_from_below(shapes,
     monkeypatch.setattr(module, "_seen", lambda *scene: (seen, np.zeros((3, 64, 64), np.float32)))
     scenes = draw_scenes(shapes, 50, 0)
     found = draw_predictions(Known(None, None, None, ""), shapes, scenes, 99, seed=0)
-    up = np.stack([scene.rotation[0][:, 1] for scene in scenes])
+    up = np.stack([scene.views[0].rotation[:, 1] for scene in scenes])
     predicted = found.of_scene >= 0
     assert 5 < predicted.sum() < 25
     assert (np.abs(up[predicted, 0]) < 0.06).all()  # rolled by 3 degrees

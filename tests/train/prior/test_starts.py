@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from tso_cli.prior.network import TROUBLES
 from tso_cli.train.prior import scenes, starts
 from tso_cli.train.prior.bank import build_bank
 from tso_cli.train.prior.masks import HALF_SIDE, SCENE_GRID
@@ -16,7 +17,11 @@ from tso_cli.train.prior.starts import draw, mirrored
 @pytest.fixture
 def plain(monkeypatch):
     """Only the kinds of start differ: no noise, no other frame, no points that belong nowhere."""
-    for name in ("SHIFTED_SHARE", "STREWN_CHANCE", "DISTANCE_NOISE"):
+    none = (
+        "SHIFTED_SHARE", "STREWN_CHANCE", "DISTANCE_NOISE", "PLANE_SHARE", "UNEVEN_SHARE",
+        "CAMERA_SHARE", "UNRELATED_SHARE", "TURNED_SHARE", "ANY_SHARE", "DEPTH_SHARE",
+    )  # fmt: skip
+    for name in none:
         monkeypatch.setattr(starts, name, 0.0)
     monkeypatch.setattr(starts, "ALL_POINTS_CHANCE", 1.0)
 
@@ -49,9 +54,12 @@ def test_a_batch_has_the_shapes_that_it_states(bank):
     points = batch.start.shape[1]
     shapes = {
         "start": (16, points, 3), "target": (16, POINTS, 3), "counterpart": (16, points, 3),
-        "rotation": (16, 2, 3, 3), "closeness": (16, 2),
-        "distance": (16, 2, SCENE_GRID, SCENE_GRID),
-        "known": (16, 2, SCENE_GRID, SCENE_GRID),
+        "foreign_points": (16, points),
+        "rotation": (16, 2, 3, 3), "shift": (16, 2, 2), "troubles": (16, 2, len(TROUBLES)),
+        **dict.fromkeys(("closeness", "zoom", "metric", "size"), (16, 2)),
+        **dict.fromkeys(
+            ("distance", "known", "foreign", "hidden", "depth"), (16, 2, SCENE_GRID, SCENE_GRID)
+        ),
     }  # fmt: skip
     assert {
         field.name: tuple(getattr(batch, field.name).shape) for field in fields(batch)
@@ -143,12 +151,16 @@ def test_the_target_is_seen_inside_its_masks(bank, plain):
     batch = draw(bank, np.random.default_rng(0), 64)
     w = seen(batch.target, batch)
     inside = looked_up(batch.distance, w) < 1.5 * HALF_SIDE * 2.0 / 40
-    known = looked_up(batch.known, w) == 1.0
+    right = (
+        batch.troubles[..., [TROUBLES.index(name) for name in ("hidden", "outline")]].sum(2) == 0
+    )
+    known = (looked_up(batch.known, w) == 1.0) & right[..., None]
     assert inside[known].float().mean() > 0.99
     # The mask is no larger than the object: its cells have a target's point near them.
     centres = ((torch.arange(SCENE_GRID) + 0.5) / SCENE_GRID * 2.0 - 1.0) * HALF_SIDE
     cells = torch.stack(torch.meshgrid(centres, centres, indexing="xy"), -1).reshape(-1, 2)
-    foreground = ((batch.distance < -0.02) & (batch.known == 1.0)).flatten(2)
+    own = (batch.known == 1.0) & (batch.foreign == 0.0) & right[..., None, None]
+    foreground = ((batch.distance < -0.02) & own).flatten(2)
     distance = torch.cdist(cells.expand(64, 2, -1, -1), w).amin(3)
     assert (distance[foreground] < 0.1).float().mean() > 0.99
 

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ...geometry.arrays import Indices
+from .masks import SCENE_GRID
 from .neighbours import Neighbours, find_neighbours
 from .predictions import Predictions
-from .scenes import Scene, draw_scenes
-from .shapes import Progress, Shape, ShapeSet
+from .scenes import CHANCES, Chances, Scene, SceneView, numbered_scene
+from .shapes import Progress, ShapeSet
+
+Draw = Callable[[range], list[Scene]]
+# Scenes that a process draws at once.
+CHUNK = 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +31,10 @@ class Bank:
 
     shape : [S], the index of the shape of each scene.
     truths : [S, 2, POINTS, 3], two samplings of the shape in each scene.
-    rotation, closeness, distance, window : [S, VIEWS, ...], see `scenes.Scene`.
+    rotation, closeness, distance, window, foreign, hidden, outline, size : [S, VIEWS, ...], see
+        `scenes.SceneView`.
+    depth : [D, VIEWS, SCENE_GRID, SCENE_GRID], of the scenes that have depth maps.
+    of_depth : [S], the row in ``depth``, or -1.
     samplings : [N, 2, POINTS, 3] of the shapes.
     mirror_axes : [N], see `shapes.Shape`.
     predicted, prediction, predicted_chance : see `predictions.Predictions`.
@@ -34,6 +46,12 @@ class Bank:
     closeness: Tensor
     distance: Tensor
     window: Tensor
+    foreign: Tensor
+    hidden: Tensor
+    outline: Tensor
+    size: Tensor
+    depth: Tensor
+    of_depth: Indices
     samplings: Tensor
     mirror_axes: Indices
     neighbours: Neighbours
@@ -53,29 +71,87 @@ def build_bank(
     device: torch.device | str = "cpu",
     progress: Progress | None = None,
     predict: Callable[[Sequence[Scene]], Predictions] | None = None,
+    processes: int = 1,
+    chances: Chances = CHANCES,
 ) -> Bank:
     """Draw ``scenes`` scenes of the shapes; the same seed gives the same bank.
 
-    ``predict`` predicts some of the scenes. One scene takes about 20 ms. Raises InputError if the
-    shapes cannot be seen in any mask.
+    ``predict`` predicts some of the scenes. A scene takes about 40 ms of a process. Raises
+    InputError if the shapes cannot be seen in any mask.
     """
-    drawn = draw_scenes(shapes, scenes, seed, progress)
+    draw = partial(_chunk, shapes, seed, chances)
+    drawn = _drawn(draw, scenes, processes, progress)
     predictions = predict(drawn) if predict else Predictions.none(scenes)
 
-    def stacked(items: Sequence[Scene | Shape], name: str) -> Tensor:
-        return torch.from_numpy(np.stack([getattr(item, name) for item in items])).to(device)
+    def stacked(rows: Sequence[object]) -> Tensor:
+        return torch.from_numpy(np.stack([np.asarray(row) for row in rows])).to(device)
 
+    def of_views(name: str) -> Tensor:
+        return stacked([[getattr(view, name) for view in scene.views] for scene in drawn])
+
+    depths = [
+        np.stack([view.depth for view in scene.views if view.depth is not None])
+        for scene in drawn
+        if scene.views[0].depth is not None
+    ]
+    has_depth = np.array([scene.views[0].depth is not None for scene in drawn])
+    empty = np.zeros((0, len(drawn[0].views), SCENE_GRID, SCENE_GRID), np.float16)
+    of_view = {name: of_views(name) for name in SceneView.__dataclass_fields__ if name != "depth"}
     return Bank(
         shape=np.array([scene.shape for scene in drawn]),
-        truths=stacked(drawn, "samplings"),
-        rotation=stacked(drawn, "rotation"),
-        closeness=stacked(drawn, "closeness"),
-        distance=stacked(drawn, "distance"),
-        window=stacked(drawn, "window"),
-        samplings=stacked(shapes.shapes, "samplings"),
+        truths=stacked([scene.samplings for scene in drawn]),
+        **of_view,
+        depth=stacked(depths) if depths else torch.from_numpy(empty).to(device),
+        of_depth=np.where(has_depth, has_depth.cumsum() - 1, -1),
+        samplings=stacked([shape.samplings for shape in shapes.shapes]),
         mirror_axes=np.array([shape.mirror_axis for shape in shapes.shapes]),
         neighbours=find_neighbours(shapes.shapes, np.random.default_rng([seed, 2])),
         predicted=torch.from_numpy(predictions.clouds).to(device),
         prediction=predictions.of_scene,
         predicted_chance=predictions.chance,
     )
+
+
+def _drawn(draw: Draw, count: int, processes: int, progress: Progress | None) -> list[Scene]:
+    """``count`` scenes; the number of ``processes`` does not change them."""
+    firsts = range(0, count, CHUNK)
+    chunks = [range(first, min(first + CHUNK, count)) for first in firsts]
+    scenes: list[Scene] = []
+    with _mapped(draw, chunks, processes) as results:
+        for chunk in results:
+            scenes += chunk
+            if progress:
+                progress(len(scenes), count, "")
+    return scenes
+
+
+def _chunk(shapes: ShapeSet, seed: int, chances: Chances, numbers: range) -> list[Scene]:
+    of_shapes = shapes.chances()
+    return [numbered_scene(shapes, of_shapes, seed, number, chances) for number in numbers]
+
+
+_DRAW: list[Draw] = []
+"""In a process that draws: what it draws with, so that shapes are sent once."""
+
+
+def _begin(draw: Draw) -> None:
+    _DRAW.append(draw)
+    torch.set_num_threads(1)
+
+
+def _of_process(numbers: range) -> list[Scene]:
+    return _DRAW[0](numbers)
+
+
+@contextmanager
+def _mapped(draw: Draw, chunks: list[range], processes: int) -> Iterator[Iterator[list[Scene]]]:
+    if processes <= 1:
+        yield map(draw, chunks)
+        return
+    pool = ProcessPoolExecutor(
+        processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(draw,)
+    )
+    try:
+        yield pool.map(_of_process, chunks)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

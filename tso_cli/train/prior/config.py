@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from ...errors import InputError
 
-# Numbers of the optimiser, as the shipped prior was trained with.
-LEARNING_RATE = 1.2e-3  # the highest one; it falls to 0 along half a cosine
-RISING_STEPS = 100  # over these the rate rises, or over a tenth of a short training
-WEIGHT_DECAY = 0.02
-LONGEST_GRADIENT = 1.0  # a longer gradient is shortened to this length
+RISING_STEPS = 100  # over these the learning rate rises, or over a tenth of a short training
 AVERAGING = 0.999  # decay of the running mean of the weights, which is saved
 # Settings that a training without predictions does not have.
 OF_PREDICTIONS = ("predicted_by", "predictions")
@@ -31,6 +28,10 @@ class PriorConfig:
     predictions : the most predictions that are drawn before the training.
     initial : name of the prior whose weights the training starts from (`io.reading.name_of`); None
         for random weights.
+    by_rule : shapes of each family that are learned from, next to meshes.
+    marred, depth_maps : see `scenes.Chances`.
+    precision : "bfloat16" runs the network in mixed precision.
+    recipe : name and digest of the file that the settings are from, or None.
     seed : seed of the weights and of every draw. A run depends on the seed, the shapes and the
         device alone.
     """
@@ -41,6 +42,11 @@ class PriorConfig:
     predicted_by: str | None = None
     predictions: int = 1600
     initial: str | None = None
+    by_rule: int = 0
+    marred: float = 0.4
+    depth_maps: float = 0.4
+    precision: str = "float32"
+    recipe: str | None = None
     seed: int = 0
     device: str = "cpu"
 
@@ -48,19 +54,29 @@ class PriorConfig:
         for name in ("steps", "batch_size", "scenes", "predictions"):
             if getattr(self, name) < 1:
                 raise InputError(f"`{name}` is {getattr(self, name)}, expected 1 or more")
+        for name in ("marred", "depth_maps"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(f"`{name}` is {getattr(self, name):g}, expected 0 to 1")
+        if self.by_rule == 1:
+            raise InputError("`by_rule` is 1, expected 2 or more: a start is another shape, or 0")
 
-    def settings(self) -> dict[str, int | str]:
+    def settings(self) -> dict[str, Any]:
         """What a resumed run must have in common with the run that it continues.
 
         A run that is being resumed does not know `initial` itself: the file that it resumes does.
         """
         of_predictions = OF_PREDICTIONS if self.predicted_by else ()
         of_initial = ("initial",) if self.initial else ()
-        names = ("steps", "batch_size", "scenes", "seed", *of_predictions, *of_initial)
+        of_recipe = ("recipe",) if self.recipe else ()
+        names = ["steps", "batch_size", "scenes", "by_rule", "marred", "depth_maps"]
+        names += ["precision", "seed", *of_predictions, *of_initial, *of_recipe]
         return {name: getattr(self, name) for name in names}
 
-    def learning_rate(self, step: int) -> float:
-        """The rate of ``step``, which counts from 0."""
+    def rate(self, step: int) -> float:
+        """The learning rate of ``step``, which counts from 0, as a share of the highest one.
+
+        It rises, then falls to 0 along half a cosine.
+        """
         rising = max(1, min(RISING_STEPS, self.steps // 10))
         falling = (1.0 + math.cos(math.pi * step / self.steps)) / 2.0
-        return LEARNING_RATE * min(1.0, (step + 1) / rising) * falling
+        return min(1.0, (step + 1) / rising) * falling

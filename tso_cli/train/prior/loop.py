@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager
+from functools import partial
 
 import numpy as np
 import torch
@@ -14,13 +16,15 @@ from ...errors import TsoError
 from ...signals import at_interrupt
 from ..loop import prefetched
 from .bank import Bank
-from .config import LEARNING_RATE, LONGEST_GRADIENT, PriorConfig
+from .config import PriorConfig
 from .loss import loss
 from .shapes import Progress
 from .starts import Batch, draw
 from .state import PriorState
 
 Objective = Callable[[Mapping[str, Tensor], Batch, torch.Generator], Tensor]
+# A batch is computed in this many shares, each by one thread.
+SHARES = 2
 # Losses of single batches vary: progress shows their mean over this number of steps.
 SHOWN_STEPS = 50
 
@@ -30,31 +34,35 @@ def train(
     config: PriorConfig,
     state: PriorState,
     *,
-    objective: Objective = loss,
+    objective: Objective | None = None,
     progress: Progress | None = None,
     save: Callable[[PriorState], None] | None = None,
     save_every: int = 0,
+    workers: int = 1,
 ) -> str:
     """Train until ``config.steps`` steps are done, or until Ctrl-C; the current step is finished.
 
     Parameters
     ----------
     state : is changed in place. One whose steps are all done is saved as it is.
-    objective : the loss of a batch, as a function of the weights.
+    objective : the parts of the loss of a batch, as a function of the weights.
     progress : called after every step with (step, steps, note).
+    workers : threads that share each step; their number does not change the result.
     save : called with the state every ``save_every`` steps (0: never) and at the end.
 
     Returns "max_steps" or "interrupted" (Ctrl-C). Raises TsoError if the loss is not finite.
     """
+    objective = objective or partial(loss, precision=config.precision)
     pressed = threading.Event()
     upcoming = prefetched(lambda step: _draw(bank, config, step), state.step, config.steps, 1)
-    with at_interrupt(pressed.set, once=True), closing(upcoming):
+    pool = ThreadPoolExecutor(min(workers, SHARES), thread_name_prefix="tso-share")
+    with at_interrupt(pressed.set, once=True), closing(upcoming), pool, _one_thread():
         while state.step < config.steps and not pressed.is_set():
-            batch, generator = next(upcoming)
-            _step(state, config, objective(state.weights, batch, generator))
+            shares = pool.map(partial(_gradients, state.weights, objective), next(upcoming))
+            _step(state, config, list(shares))
             if progress:
-                mean = float(np.mean(state.history[-SHOWN_STEPS:]))
-                progress(state.step, config.steps, f"loss {mean:.3f}")
+                mean = np.mean(state.history[-SHOWN_STEPS:], 0)
+                progress(state.step, config.steps, f"loss {mean.sum():.3f}, moves {mean[0]:.3f}")
             if save and save_every and state.step % save_every == 0 and state.step < config.steps:
                 save(state)
         if save:
@@ -62,25 +70,63 @@ def train(
     return "max_steps" if state.step >= config.steps else "interrupted"
 
 
-def _draw(bank: Bank, config: PriorConfig, step: int) -> tuple[Batch, torch.Generator]:
-    """The batch of a step, and the random numbers of its loss; both depend on seed and step."""
-    rng = np.random.default_rng([config.seed, 3, step])
-    batch = draw(bank, rng, config.batch_size)
-    return batch, torch.Generator().manual_seed(int(rng.integers(2**63)))
+Share = tuple[Batch, torch.Generator]
 
 
-def _step(state: PriorState, config: PriorConfig, value: Tensor) -> None:
-    """Change the weights by the gradient of the loss ``value``."""
-    number = float(value.detach())
-    if not np.isfinite(number):
+def _draw(bank: Bank, config: PriorConfig, step: int) -> list[Share]:
+    """The shares of the batch of a step, and the random numbers of their losses.
+
+    Both depend on seed and step alone.
+    """
+    sizes = [len(part) for part in np.array_split(np.arange(config.batch_size), SHARES)]
+    shares = []
+    for number, size in enumerate(sizes):
+        if size:
+            rng = np.random.default_rng([config.seed, 3, step, number])
+            batch = draw(bank, rng, size)
+            shares.append((batch, torch.Generator().manual_seed(int(rng.integers(2**63)))))
+    return shares
+
+
+def _gradients(
+    weights: Mapping[str, Tensor], objective: Objective, share: Share
+) -> tuple[Tensor, list[Tensor], int]:
+    """The parts of the loss of a share of a batch, their gradients, and its size."""
+    # Leaves of its own: several threads do not add to one gradient.
+    own = {name: weight.detach().requires_grad_() for name, weight in weights.items()}
+    parts = objective(own, *share)
+    gradients = torch.autograd.grad(parts.sum(), list(own.values()))
+    return parts.detach(), list(gradients), len(share[0].start)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Each worker computes with one thread, so that any number of workers gives the same bits."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _step(
+    state: PriorState, config: PriorConfig, shares: Sequence[tuple[Tensor, list[Tensor], int]]
+) -> None:
+    """Change the weights by the mean of the gradients of the ``shares`` of a batch."""
+    counts = [count / sum(count for *_, count in shares) for *_, count in shares]
+    parts = sum(count * parts for count, (parts, _, _) in zip(counts, shares, strict=True))
+    numbers = torch.as_tensor(parts).tolist()
+    if not np.isfinite(numbers).all():
         raise TsoError(
-            f"the loss became {number} in step {state.step + 1} (learning rate {LEARNING_RATE:g})"
+            f"the loss became {sum(numbers)} in step {state.step + 1} "
+            f"(at {config.rate(state.step):.2g} of the highest learning rate)"
         )
-    state.optimiser.zero_grad(set_to_none=True)
-    value.backward()
-    torch.nn.utils.clip_grad_norm_(state.weights.values(), LONGEST_GRADIENT)
-    for group in state.optimiser.param_groups:
-        group["lr"] = config.learning_rate(state.step)
-    state.optimiser.step()
-    state.history.append(number)
+    of_weights = zip(*(gradients for _, gradients, _ in shares), strict=True)
+    mean = [
+        sum(count * gradient for count, gradient in zip(counts, each, strict=True))
+        for each in of_weights
+    ]
+    state.optimiser.step(mean, config.rate(state.step))
+    state.history.append(numbers)
     state.update_average()

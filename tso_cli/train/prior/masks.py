@@ -108,6 +108,16 @@ def signed_distance(mask: Bits, border: Border) -> Floats:
     return (rows @ distance @ columns.T).astype(np.float32)
 
 
+def at_cells(mask: Bits) -> Floats:
+    """``mask`` [C, C] at the centres of the cells of a map of a scene, interpolated."""
+    cells = len(mask)
+    if not mask.any():
+        return np.zeros((SCENE_GRID, SCENE_GRID), np.float32)
+    centres = (np.arange(SCENE_GRID, dtype=np.float64) + 0.5) * (cells / SCENE_GRID) - 0.5
+    weights = _interpolation(centres, cells)
+    return (weights @ mask.astype(np.float64) @ weights.T).astype(np.float32)
+
+
 def _interpolation(places: Array, count: int) -> Array:
     """The matrix [P, count] of linear interpolation at ``places`` [P]; the ends go on for ever."""
     places = np.clip(places, 0.0, count - 1.0)

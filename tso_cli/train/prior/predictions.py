@@ -156,7 +156,7 @@ def draw_predictions(
 
 def _is_upright(scene: Scene) -> bool:
     """Whether up is up in the first view of a scene, as in the photos that networks learn from."""
-    right, down, away = scene.rotation[0][:, 1]
+    right, down, away = scene.views[0].rotation[:, 1]
     return abs(right) < MOST_ASIDE and -down > LEAST_UPRIGHT and away < MOST_AWAY
 
 
@@ -171,9 +171,9 @@ def _seen(
     vertices = shape.vertices if scene.lattice is None else deformed(shape, scene.lattice)
     mesh = paint(Mesh(vertices.astype(np.float64), shape.faces.astype(np.int64)), rng)
     # The photo and the mask of a refinement are one picture: the first view of the scene.
-    distance = 1.0 / max(float(scene.closeness[0]), SMALLEST_CLOSENESS)
+    distance = 1.0 / max(scene.views[0].closeness, SMALLEST_CLOSENESS)
     K = intrinsics(distance * PICTURE / (2.0 * HALF_SIDE), PICTURE, PICTURE)
-    rotation = scene.rotation[0].astype(np.float64)
+    rotation = scene.views[0].rotation.astype(np.float64)
     camera = Camera(K, rotation, np.array([0.0, 0.0, distance]), PICTURE, PICTURE)
     picture = render.render_view(render.RayScene(mesh), camera, rng)
     mask = picture.mask.astype(np.float32) / 255.0

@@ -1,4 +1,4 @@
-"""Scenes to learn from: a shape, often deformed, and two views with their masks."""
+"""Scenes to learn from: a shape, often deformed, and two views with masks as people have them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,27 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...geometry.arrays import Array, Bits, Floats
-from .masks import Border, known_window, seen, signed_distance, silhouette
-from .shapes import Progress, Shape, ShapeSet, evenly_spread
+from .depths import depth_of
+from .masks import (
+    HALF_SIDE,
+    Border,
+    at_cells,
+    known_window,
+    seen,
+    signed_distance,
+    silhouette,
+)
+from .shapes import Shape, ShapeSet, evenly_spread
+from .troubles import OUTLINES, PARTS, Marred, marred
 from .views import draw_pose, draw_view
 from .warps import draw_lattices, warped
 
-# Rotation, closeness, distance and window of one view.
-View = tuple[Floats, np.float32, NDArray[np.float16], NDArray[np.uint8]]
-
 VIEWS = 2
 WARPED_CHANCE = 0.5
-RESOLUTIONS = (40, 48, 64, 96, 128, 192)  # cells along a side of a mask
-LEAST_FOREGROUND = 25  # cells; a smaller mask says nothing about a shape
+# The longest side of an object in pixels, log-uniform. Masks are drawn with MOST_CELLS at most: the
+# network, which sees 40, cannot tell finer ones apart.
+SIZES, MOST_CELLS = (8.0, 400.0), 192
+LEAST_FOREGROUND = 12  # cells; a smaller mask says nothing about a shape
 TRUNCATED_CHANCE = 0.08  # of a scene, in one of its views
 # Shares of the object's extent that the border of a picture cuts off.
 CUT_OFF = (0.02, 0.35)
@@ -30,33 +39,68 @@ MOST_DRAWS = 50
 
 
 @dataclass(frozen=True, eq=False)
+class SceneView:
+    """One view of a scene; maps are [SCENE_GRID, SCENE_GRID].
+
+    rotation, closeness : [3, 3] and a number, see `masks.seen`.
+    distance : float16, see `masks.signed_distance`; of the mask as it is given.
+    window : [4], see `masks.known_window`.
+    foreign, hidden : bool, see `troubles.Marred`.
+    outline : whether the outline is grown, shrunk or drawn badly.
+    size : the longest side of the object in pixels.
+    depth : float16, z of the visible surface in the axes of the view, NaN where there is none; None
+        without a depth map.
+    """
+
+    rotation: Floats
+    closeness: float
+    distance: NDArray[np.float16]
+    window: NDArray[np.uint8]
+    foreign: Bits
+    hidden: Bits
+    outline: bool
+    size: float
+    depth: NDArray[np.float16] | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """A shape and VIEWS views of it.
 
     shape : index of the shape.
     samplings : [2, POINTS, 3], two samplings of the surface as it is seen.
-    rotation, closeness : [VIEWS, 3, 3] and [VIEWS], see `masks.seen`.
-    distance : [VIEWS, SCENE_GRID, SCENE_GRID] float16, see `masks.signed_distance`.
-    window : [VIEWS, 4], see `masks.known_window`.
     lattice : of the deformation (`warps.draw_lattices`), [SIDE^3, 3]; None for the shape as it is.
     """
 
     shape: int
     samplings: Floats
-    rotation: Floats
-    closeness: Floats
-    distance: NDArray[np.float16]
-    window: NDArray[np.uint8]
+    views: tuple[SceneView, ...]
     lattice: Floats | None = None
 
 
-def draw_scene(shapes: ShapeSet, chances: Array, rng: np.random.Generator) -> Scene:
-    """One random scene.
+@dataclass(frozen=True)
+class Chances:
+    """What scenes have next to a shape and two views.
+
+    marred : chance of a view whose mask has a trouble. depth_maps : of a scene with depth maps.
+    """
+
+    marred: float = 0.4
+    depth_maps: float = 0.4
+
+
+CHANCES = Chances()
+
+
+def draw_scene(
+    shapes: ShapeSet, of_shapes: Array, rng: np.random.Generator, chances: Chances = CHANCES
+) -> Scene:
+    """One random scene; ``of_shapes`` are the chances of the shapes (`ShapeSet.chances`).
 
     A shape that is too thin to be seen is replaced by another one; InputError if all are.
     """
     for _ in range(MOST_DRAWS):
-        index = int(rng.choice(len(chances), p=chances))
+        index = int(rng.choice(len(of_shapes), p=of_shapes))
         shape = shapes.shapes[index]
         vertices, samplings, lattice = shape.vertices, shape.samplings, None
         if rng.random() < WARPED_CHANCE:
@@ -65,42 +109,91 @@ def draw_scene(shapes: ShapeSet, chances: Array, rng: np.random.Generator) -> Sc
             samplings = np.stack([evenly_spread(vertices, shape.faces, rng) for _ in range(2)])
         pose = draw_pose(rng)
         truncated = int(rng.integers(VIEWS)) if rng.random() < TRUNCATED_CHANCE else None
-        views = [
-            _draw_view(vertices, shape.faces, pose, view == truncated, rng) for view in range(VIEWS)
-        ]
-        seen_views = [view for view in views if view is not None]
-        if len(seen_views) == VIEWS:
-            rotation, closeness, distance, window = map(np.stack, zip(*seen_views, strict=True))
-            return Scene(index, samplings, rotation, closeness, distance, window, lattice)
+        with_depth = rng.random() < chances.depth_maps
+        second = shapes.shapes[int(rng.choice(len(of_shapes), p=of_shapes))]
+        views = []
+        for view in range(VIEWS):
+            drawn = _View.draw(vertices, shape.faces, pose, view == truncated, rng)
+            if drawn is None:
+                break
+            depth = None
+            if with_depth:
+                depth = depth_of(vertices, shape.faces, drawn.rotation, drawn.closeness)
+            views.append(drawn.scene_view(second, pose, depth, rng, chances.marred))
+        if len(views) == VIEWS:
+            return Scene(index, samplings, tuple(views), lattice)
     raise InputError(
         f"{shape.name}: none of its masks has {LEAST_FOREGROUND} cells of foreground, "
         f"nor of {MOST_DRAWS - 1} other shapes, expected shapes that can be seen"
     )
 
 
-def _draw_view(
-    vertices: Floats,
-    faces: NDArray[np.int32],
-    pose: Array,
-    truncated: bool,
-    rng: np.random.Generator,
-) -> View | None:
-    """One view as the rows of a `Scene`; None if no mask shows enough."""
-    for _ in range(MOST_DRAWS):
-        rotation, closeness = draw_view(rng, pose)
-        cells = int(rng.choice(RESOLUTIONS))
-        mask = silhouette(seen(vertices, rotation, closeness), faces, cells)
-        border = Border.whole(cells)
-        if truncated and mask.any():
-            border = draw_border(mask, rng)
-        if _shows_an_outline(mask, border):
-            return (
-                rotation.astype(np.float32),
-                np.float32(closeness),
-                signed_distance(mask, border).astype(np.float16),
-                known_window(border, cells),
-            )
-    return None
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A view of a shape with its true mask [cells, cells] and the border of the picture."""
+
+    rotation: Array
+    closeness: float
+    size: float
+    mask: Bits
+    border: Border
+
+    @classmethod
+    def draw(
+        cls,
+        vertices: Floats,
+        faces: NDArray[np.int32],
+        pose: Array,
+        truncated: bool,
+        rng: np.random.Generator,
+    ) -> _View | None:
+        """One view; None if no mask shows enough."""
+        for _ in range(MOST_DRAWS):
+            rotation, closeness = draw_view(rng, pose)
+            size = float(np.exp(rng.uniform(*np.log(SIZES))))
+            cells = min(MOST_CELLS, round(2.0 * HALF_SIDE * size))
+            mask = silhouette(seen(vertices, rotation, closeness), faces, cells)
+            border = Border.whole(cells)
+            if truncated and mask.any():
+                border = draw_border(mask, rng)
+            if _shows_an_outline(mask, border):
+                return cls(rotation, closeness, size, mask, border)
+        return None
+
+    def scene_view(
+        self,
+        second: Shape,
+        pose: Array,
+        depth: Floats | None,
+        rng: np.random.Generator,
+        marred_chance: float,
+    ) -> SceneView:
+        """The view with a mask that may have a trouble; ``second`` is another object."""
+        given = Marred.none(self.mask)
+        if rng.random() < marred_chance:
+            trouble = str(rng.choice([*PARTS, "object", *OUTLINES]))
+            other = None
+            if trouble == "object":
+                rotation, closeness = draw_view(rng, pose)
+                image = seen(second.vertices, rotation, closeness) * rng.uniform(0.5, 1.2)
+                other = silhouette(image, second.faces, len(self.mask))
+                other = other if other.any() else None
+            changed = marred(self.mask, trouble, rng, other)
+            if changed is not None and _shows_an_outline(changed.given, self.border):
+                given = changed
+        if depth is not None:
+            depth = np.where(at_cells(given.given & ~given.foreign) > 0.5, depth, np.nan)
+        return SceneView(
+            self.rotation.astype(np.float32),
+            self.closeness,
+            signed_distance(given.given, self.border).astype(np.float16),
+            known_window(self.border, len(self.mask)),
+            at_cells(given.foreign) > 0.5,
+            at_cells(given.hidden) > 0.5,
+            given.trouble in OUTLINES,
+            self.size,
+            None if depth is None else depth.astype(np.float16),
+        )
 
 
 def _draw_lattice(shape: Shape, rng: np.random.Generator) -> Floats:
@@ -141,14 +234,8 @@ def _shows_an_outline(mask: Bits, border: Border) -> bool:
     return bool(shown.sum() >= LEAST_FOREGROUND and not shown.all())
 
 
-def draw_scenes(
-    shapes: ShapeSet, count: int, seed: int, progress: Progress | None = None
-) -> list[Scene]:
-    """``count`` scenes. Each depends on its number, ``seed`` and the shapes alone."""
-    chances = shapes.chances()
-    scenes = []
-    for number in range(count):
-        scenes.append(draw_scene(shapes, chances, np.random.default_rng([seed, 1, number])))
-        if progress:
-            progress(number + 1, count, "")
-    return scenes
+def numbered_scene(
+    shapes: ShapeSet, of_shapes: Array, seed: int, number: int, chances: Chances = CHANCES
+) -> Scene:
+    """The scene of a number: it depends on its number, ``seed``, shapes and chances alone."""
+    return draw_scene(shapes, of_shapes, np.random.default_rng([seed, 1, number]), chances)

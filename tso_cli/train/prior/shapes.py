@@ -17,8 +17,8 @@ from ...datasets.variants import shape_type
 from ...errors import InputError
 from ...geometry.arrays import Array, Floats
 from ...geometry.points import farthest_point_sample, sample_surface
-from ...io.meshes import find_meshes, read_mesh
-from ...render import normalise
+from ...io.meshes import Mesh, find_meshes, read_mesh
+from ...render import FAMILIES, normalise, shape_of
 
 Progress = Callable[[int, int, str], None]
 
@@ -38,6 +38,7 @@ class Shape:
     kind : the name that its variants share, with the category.
     samplings : [2, POINTS, 3], evenly spread; the first k points of each are evenly spread too.
     mirror_axis : 0 (x) or 2 (z), the axis along which the shape resembles its mirror image more.
+    by_rule : whether it is of a family (`render.families`), and not read from a file.
     """
 
     name: str
@@ -47,6 +48,16 @@ class Shape:
     faces: NDArray[np.int32]  # [F, 3]
     samplings: Floats
     mirror_axis: int
+    by_rule: bool = False
+
+    @classmethod
+    def of(cls, mesh: Mesh, name: str, category: str, kind: str, by_rule: bool = False) -> Shape:
+        """Of a normalised mesh; the samplings depend on its name too."""
+        rng = np.random.default_rng([0, zlib.crc32(name.encode())])
+        samplings = np.stack([evenly_spread(mesh.vertices, mesh.faces, rng) for _ in range(2)])
+        vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32)
+        axis = mirror_axis(samplings[0])
+        return cls(name, category, kind, vertices, faces, samplings, axis, by_rule)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +70,29 @@ class ShapeSet:
     def chances(self) -> Array:
         """The chance [S] of every shape to be drawn; the sum is 1.
 
-        A category counts by the square root of its number of kinds, so that a large category
-        neither drowns the others nor is seen as rarely. The kinds of a category, and the
-        variants of a kind, have equal chances.
+        Meshes and shapes by rule have equal shares. Within each, a category counts by the square
+        root of its number of kinds, so that a large category neither drowns the others nor is seen
+        as rarely. The kinds of a category, and the variants of a kind, have equal chances.
         """
-        variants = Counter(shape.kind for shape in self.shapes)
-        kinds = Counter({shape.kind: shape.category for shape in self.shapes}.values())
-        weights = [kinds[shape.category] ** -0.5 / variants[shape.kind] for shape in self.shapes]
-        return np.array(weights) / sum(weights)
+        groups = [(shape.by_rule, shape.category) for shape in self.shapes]
+        variants = Counter((shape.by_rule, shape.kind) for shape in self.shapes)
+        kinds = Counter(
+            group for group, _ in {(g, s.kind) for g, s in zip(groups, self.shapes, strict=True)}
+        )
+        weights = np.array(
+            [
+                kinds[group] ** -0.5 / variants[shape.by_rule, shape.kind]
+                for group, shape in zip(groups, self.shapes, strict=True)
+            ]
+        )
+        ruled = np.array([shape.by_rule for shape in self.shapes])
+        for part in (ruled, ~ruled):
+            weights[part] /= weights[part].sum()
+        chances: Array = weights / weights.sum()
+        return chances
+
+    def __add__(self, other: ShapeSet) -> ShapeSet:
+        return ShapeSet([*self.shapes, *other.shapes], self.skipped | other.skipped)
 
     def fingerprint(self) -> str:
         """Changes when a shape does."""
@@ -78,16 +104,34 @@ class ShapeSet:
         return digest.hexdigest()[:16]
 
 
+def ruled_shapes(
+    count: int, seed: int, without: Collection[str] = (), progress: Progress | None = None
+) -> ShapeSet:
+    """``count`` shapes of each family but those in ``without``; each depends on ``seed`` alone."""
+    families = [family for family in FAMILIES if family not in without]
+    shapes = []
+    for family in families:
+        for number in range(count):
+            name = f"{family}/rule-{number:05d}"
+            mesh = shape_of(family, [seed, 5, number])
+            shapes.append(Shape.of(mesh, name, family, name, by_rule=True))
+            if progress:
+                progress(len(shapes), count * len(families), "")
+    return ShapeSet(shapes)
+
+
 def read_shapes(
     folder: Path,
     without: Collection[str] = (),
     strict: bool = False,
     progress: Progress | None = None,
+    only: Collection[str] | None = None,
 ) -> ShapeSet:
     """The meshes FOLDER/CATEGORY/NAME; meshes right in ``folder`` are one category of its name.
 
     Left out are categories in ``without``, meshes that cannot be read (an InputError with
-    ``strict``), meshes of over MOST_FACES faces, and categories with a single kind of object.
+    ``strict``), meshes of over MOST_FACES faces, and categories with a single kind of object. With
+    ``only``, all meshes CATEGORY/NAME are left out that are not among these names.
 
     Raises InputError if no category with two kinds is left, or one of ``without`` is not there.
     """
@@ -95,6 +139,12 @@ def read_shapes(
     for path in find_meshes(folder):
         inside = path.relative_to(folder).parts
         paths[path] = inside[0] if len(inside) > 1 else folder.resolve().name
+    if only is not None:
+        paths = {
+            path: category
+            for path, category in paths.items()
+            if path.relative_to(folder).with_suffix("").as_posix() in set(only)
+        }
     stems = Counter((category, path.stem) for path, category in paths.items())
     known = sorted(set(paths.values()))
     if unknown := [name for name in without if name not in known]:
@@ -140,19 +190,8 @@ def _read_shape(path: Path, inside: str, category: str) -> Shape:
         raise InputError(
             f"{path}: has {len(mesh.faces):,} faces, expected at most {MOST_FACES:,}; simplify it"
         )
-    mesh = normalise(mesh)
     name = f"{category}/{inside}"
-    rng = np.random.default_rng([0, zlib.crc32(name.encode())])
-    samplings = np.stack([evenly_spread(mesh.vertices, mesh.faces, rng) for _ in range(2)])
-    return Shape(
-        name,
-        category,
-        f"{category}/{shape_type(inside)}",
-        mesh.vertices.astype(np.float32),
-        mesh.faces.astype(np.int32),
-        samplings,
-        mirror_axis(samplings[0]),
-    )
+    return Shape.of(normalise(mesh), name, category, f"{category}/{shape_type(inside)}")
 
 
 def evenly_spread(vertices: NDArray[Any], faces: NDArray[Any], rng: np.random.Generator) -> Floats:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn import functional
 
 from ...geometry.arrays import Array, Bits, Indices
+from ...geometry.rotations import from_vectors
+from ...prior.network import TROUBLES
+from ...prior.torch_backend import TORCH
 from .bank import Bank
 from .masks import SCENE_GRID
 from .shapes import POINTS
@@ -25,11 +29,26 @@ WARPED_SHARE = 0.4  # of the other shapes
 # Of the other shapes: moved toward a third shape, with noise, as the prediction of a network is.
 BLENDED_SHARE, BLEND, BLEND_NOISE = 0.2, (0.15, 0.6), 0.02
 NORMALISED_SHARE = 0.85  # of the other shapes; the rest keep the frame that they have
-# Of all starts: in a frame that is off, as that of a cloud is whose box is not the truth's.
-SHIFTED_SHARE, SHIFT, SCALE = 0.15, 0.03, 0.06
+ANY_SHARE = 0.06  # of the other shapes: of any category
+# Of all starts: in a frame that is off, as that of a cloud is whose box is not the truth's, or that
+# somebody has placed.
+SHIFTED_SHARE, SHIFT, SCALE = 0.2, 0.03, 0.06
+TURNED_SHARE, TURN = 0.5, 0.07  # of these, about a random axis; radians, standard deviation
+# Of all starts: points on a plane, which are not the object's, up to this share.
+PLANE_SHARE, MOST_ON_PLANE, PLANE_SIDE = 0.06, 0.35, (1.0, 2.0)
+# Of all starts: the points are up to e^this times as dense at an end as at the other.
+UNEVEN_SHARE, UNEVEN = 0.3, 4.0
+# Of all views: a camera that is off by a rotation, a zoom and a shift, each of these deviations.
+CAMERA_SHARE, CAMERA = 0.12, (0.04, 0.04, 0.02)
+UNRELATED_SHARE = 0.02  # of all views: what is seen is another scene
+# Of views with a depth map: fitted maps; deviations of the noise of cells and of the relief; maps
+# with holes, and the most cells that are holes.
+FITTED_SHARE, CELL_NOISE, RELIEF_NOISE, HOLES_SHARE, MOST_HOLES = 0.5, 0.02, 0.1, 0.5, 0.5
+NOISY_SHARE = 0.6
+DEPTH_SHARE = 0.8  # of the views of a scene with depth maps
 # Of all starts: among their points some belong to nothing, up to this share, in a box of this size.
 STREWN_CHANCE, MOST_STREWN, STREWN_BOX = 0.06, 0.08, 1.5
-ALL_POINTS_CHANCE, LEAST_POINTS = 0.75, 128  # of a batch
+ALL_POINTS_CHANCE, LEAST_POINTS = 0.75, 64  # of a batch
 DISTANCE_NOISE = 0.002  # one number for each map: an outline that is drawn too wide or too narrow
 
 
@@ -41,20 +60,37 @@ class Batch:
         longest side 1; in random order.
     target : [B, POINTS, 3], samples of the truth.
     counterpart : [B, M, 3], where each point of the start belongs; NaN where that is not known.
-    rotation : [B, VIEWS, 3, 3], from the frame of the truth to the view's axes.
+    foreign_points : [B, M], 1 for points that are not the object's; their counterparts are where
+        they are.
+    rotation : [B, VIEWS, 3, 3], from the frame of the truth to the view's axes, as it is given.
     closeness : [B, VIEWS], u of `masks.seen`.
-    distance : [B, VIEWS, SCENE_GRID, SCENE_GRID], see `masks.signed_distance`.
-    known : [B, VIEWS, SCENE_GRID, SCENE_GRID], 1 where the picture shows the scene, 0 beyond its
-        border.
+    zoom, shift : [B, VIEWS] and [B, VIEWS, 2]: a place w of the given camera is at zoom w + shift
+        in the maps.
+    distance, known, foreign, hidden : [B, VIEWS, SCENE_GRID, SCENE_GRID], see
+        `masks.signed_distance`; 1 where the picture shows the scene, 0 beyond its border; and see
+        `troubles.Marred`.
+    depth : [B, VIEWS, SCENE_GRID, SCENE_GRID], NaN where there is none.
+    metric : [B, VIEWS], 1 for a depth map that is not to be fitted.
+    size : [B, VIEWS], the longest side of the truth in pixels.
+    troubles : [B, VIEWS, T], 1 for each of `prior.network.TROUBLES` that is the case.
     """
 
     start: Tensor
     target: Tensor
     counterpart: Tensor
+    foreign_points: Tensor
     rotation: Tensor
     closeness: Tensor
+    zoom: Tensor
+    shift: Tensor
     distance: Tensor
     known: Tensor
+    foreign: Tensor
+    hidden: Tensor
+    depth: Tensor
+    metric: Tensor
+    size: Tensor
+    troubles: Tensor
 
 
 def draw(bank: Bank, rng: np.random.Generator, count: int) -> Batch:
@@ -62,10 +98,10 @@ def draw(bank: Bank, rng: np.random.Generator, count: int) -> Batch:
     scene = rng.integers(len(bank.shape), size=count)
     points = POINTS
     if rng.random() >= ALL_POINTS_CHANCE:
-        points = int(rng.integers(LEAST_POINTS, POINTS + 1))
+        points = int(np.exp(rng.uniform(np.log(LEAST_POINTS), np.log(POINTS))))
     side = rng.integers(2, size=count)
     target = bank.truths[_to(bank, scene), _to(bank, side)]
-    sample = bank.truths[_to(bank, scene), _to(bank, 1 - side)][:, :points]
+    sample = bank.truths[_to(bank, scene), _to(bank, 1 - side)]
     kind = rng.random(count)
     near = (kind >= RIGHT_SHARE) & (kind < RIGHT_SHARE + NEAR_SHARE)
     other = kind >= RIGHT_SHARE + NEAR_SHARE
@@ -73,24 +109,20 @@ def draw(bank: Bank, rng: np.random.Generator, count: int) -> Batch:
     start, shape = sample.clone(), bank.shape[scene]
     _warp(bank, start, shape, near, rng, NEAR_STRENGTH)
     _replace_by_others(bank, start, shape, other & ~predicted, rng)
-    start[_to(bank, predicted)] = bank.predicted[_to(bank, bank.prediction[scene[predicted]])][
-        :, :points
-    ]
+    start[_to(bank, predicted)] = bank.predicted[_to(bank, bank.prediction[scene[predicted]])]
     counterpart = torch.where(_rows(bank, other), torch.nan, sample)
-    _shift(start, rng)
+    moved = _move(start, rng)
+    chosen = _to(bank, _chosen(start, points, rng))[..., None].expand(-1, -1, 3)
+    start, counterpart = start.gather(1, chosen), counterpart.gather(1, chosen)
     _strew(start, counterpart, rng)
-    order = _to(bank, rng.random((count, points)).argsort(1))[..., None].expand(-1, -1, 3)
+    foreign_points, with_plane = _add_plane(start, counterpart, rng)
+    order = _to(bank, rng.random((count, points)).argsort(1))
+    foreign_points = foreign_points.gather(1, order)
+    order = order[..., None].expand(-1, -1, 3)
     start, counterpart = start.gather(1, order), counterpart.gather(1, order)
-    distance, known = _maps(bank, scene, rng)
-    batch = Batch(
-        start,
-        target,
-        counterpart,
-        bank.rotation[_to(bank, scene)],
-        bank.closeness[_to(bank, scene)],
-        distance,
-        known,
-    )
+    of_clouds = {"shape": near | other, "moved": moved, "plane": with_plane}
+    views = _views(bank, scene, of_clouds, rng)
+    batch = Batch(start, target, counterpart, foreign_points, **views)
     return mirrored(batch, _to(bank, rng.random(count) < 0.5))
 
 
@@ -127,10 +159,11 @@ def _replace_by_others(
 ) -> None:
     """Replace the ``chosen`` rows of ``start`` by other shapes of the category of ``shape``."""
     rows = np.flatnonzero(chosen)
-    count, points = len(rows), start.shape[1]
+    count = len(rows)
     first, third = (_draw_others(bank, shape[rows], rng) for _ in range(2))
+    any_shape = rng.integers(len(bank.samplings), size=count)
+    first = np.where(rng.random(count) < ANY_SHARE, any_shape, first)
     clouds = bank.samplings[_to(bank, first), _to(bank, rng.integers(2, size=count))]
-    clouds = clouds[:, :points]
     _warp(bank, clouds, first, rng.random(count) < WARPED_SHARE, rng, STRENGTH)
     _blend(bank, clouds, third, rng)
     normalised = _rows(bank, rng.random(count) < NORMALISED_SHARE)
@@ -152,7 +185,7 @@ def _blend(bank: Bank, clouds: Tensor, third: Indices, rng: np.random.Generator)
     noise = rng.normal(0.0, 1.0, (len(rows), clouds.shape[1], 3))
     noise *= rng.uniform(0.0, BLEND_NOISE, (len(rows), 1, 1))
     moved, toward = clouds[_to(bank, rows)], bank.samplings[_to(bank, third[rows]), 0]
-    index = torch.cdist(moved, toward).argmin(2)[..., None].expand(-1, -1, 3)
+    index = TORCH.nearest(moved, toward)[..., None].expand(-1, -1, 3)
     moved += _to(bank, share) * (toward.gather(1, index) - moved) + _to(bank, noise)
     clouds[_to(bank, rows)] = moved
 
@@ -163,14 +196,36 @@ def _normalised(clouds: Tensor) -> Tensor:
     return (clouds - (low + high) / 2.0) / (high - low).amax(2, keepdim=True).clamp_min(1e-6)
 
 
-def _shift(start: Tensor, rng: np.random.Generator) -> None:
-    """Scale and shift some of the starts."""
+def _move(start: Tensor, rng: np.random.Generator) -> Bits:
+    """Scale, turn and shift some of the starts; which of them, [B]."""
     count = len(start)
-    chosen = (rng.random(count) < SHIFTED_SHARE)[:, None, None]
-    scale = 1.0 + rng.normal(0.0, SCALE, (count, 1, 1)) * chosen
-    shift: Array = rng.normal(0.0, SHIFT, (count, 1, 3)) * chosen
-    numbers = (torch.from_numpy(values).to(start) for values in (scale, shift))
-    start.mul_(next(numbers)).add_(next(numbers))
+    chosen: Bits = rng.random(count) < SHIFTED_SHARE
+    turned = chosen & (rng.random(count) < TURNED_SHARE)
+    scale = 1.0 + rng.normal(0.0, SCALE, (count, 1, 1)) * chosen[:, None, None]
+    shift: Array = rng.normal(0.0, SHIFT, (count, 1, 3)) * chosen[:, None, None]
+    turn = from_vectors(rng.normal(0.0, TURN, (count, 3)) * turned[:, None])
+    scaled, offset = (torch.from_numpy(values).to(start) for values in (scale * turn, shift))
+    start.copy_(start @ scaled.mT + offset)
+    return chosen
+
+
+def _chosen(start: Tensor, points: int, rng: np.random.Generator) -> Indices:
+    """[B, points]: those points of each start that are kept; some starts become uneven."""
+    count, given = start.shape[:2]
+    along = rng.normal(size=(count, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    slope = rng.uniform(0.0, UNEVEN, count) * (rng.random(count) < UNEVEN_SHARE)
+    place = (start.cpu().numpy() @ along[..., None].astype(np.float32))[..., 0]
+    # The largest of these are drawn without replacement, with chances that grow along the axis.
+    keys = slope[:, None] * place - np.log(-np.log(rng.random((count, given))))
+    even = np.arange(given)[None] < points
+    keys = np.where(slope[:, None] > 0.0, keys, np.where(even, 1e6, -1e6))
+    chosen: Indices = np.argsort(-keys, axis=1, kind="stable")[:, :points]
+    if points < given:
+        return chosen
+    # All points are kept: uneven starts lose half of them, and have others twice.
+    half = np.where(np.arange(given) < given // 2, np.arange(given), np.arange(given) - given // 2)
+    return np.where((slope > 0.0)[:, None], chosen[:, half], chosen)
 
 
 def _strew(start: Tensor, counterpart: Tensor, rng: np.random.Generator) -> None:
@@ -184,15 +239,125 @@ def _strew(start: Tensor, counterpart: Tensor, rng: np.random.Generator) -> None
     counterpart.masked_fill_(chosen, torch.nan)
 
 
-def _maps(bank: Bank, scene: Indices, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+def _add_plane(start: Tensor, counterpart: Tensor, rng: np.random.Generator) -> tuple[Tensor, Bits]:
+    """Put the first points of some starts on a plane at their side; these points, and the starts.
+
+    They stand for a floor or a wall that was scanned with the object.
+    """
+    count, points = start.shape[:2]
+    chosen = rng.random(count) < PLANE_SHARE
+    share = rng.uniform(0.05, MOST_ON_PLANE, count)
+    axis, end = rng.choice(3, count, p=(0.15, 0.7, 0.15)), rng.choice((-1.0, 1.0), count)
+    end = np.where((axis == 1) & (rng.random(count) < 0.8), -1.0, end)  # mostly a floor
+    on_plane = (np.arange(points) < (share * points)[:, None]) & chosen[:, None]
+    side = rng.uniform(*PLANE_SIDE, (count, 1, 1))
+    places = side * (rng.random((count, points, 3)) - 0.5)
+    clouds = start.cpu().numpy()
+    low, high = clouds.min(1), clouds.max(1)
+    bound = np.where(end > 0.0, high[np.arange(count), axis], low[np.arange(count), axis])
+    level = bound[:, None] + rng.normal(0.0, 0.004, (count, points))
+    places[np.arange(count), :, axis] = level
+    foreign = torch.from_numpy(on_plane).to(start.device)
+    planes = torch.from_numpy(places).to(start)
+    start.copy_(torch.where(foreign[..., None], planes, start))
+    counterpart.copy_(torch.where(foreign[..., None], planes, counterpart))
+    return foreign.float(), chosen
+
+
+def _views(
+    bank: Bank, scene: Indices, of_clouds: dict[str, Bits], rng: np.random.Generator
+) -> dict[str, Tensor]:
+    """What the views of the scenes show, by the names of a `Batch`."""
+    shape = (len(scene), bank.rotation.shape[1])
+    unrelated = rng.random(shape) < UNRELATED_SHARE
+    seen = np.where(unrelated, rng.integers(len(bank.shape), size=shape), scene[:, None])
+    rows, view = _to(bank, seen), torch.arange(shape[1], device=bank.device)
+    distance, known = _maps(bank, rows, view, rng)
+    foreign, hidden = (maps[rows, view].float() for maps in (bank.foreign, bank.hidden))
+    depth, metric = _depths(bank, seen, unrelated, rng)
+    off = rng.random(shape) < CAMERA_SHARE
+    turn, zoom, shift = (
+        rng.normal(0.0, spread, (*shape, size)) * off[..., None]
+        for spread, size in zip(CAMERA, (3, 1, 2), strict=True)
+    )
+    turns = _to(bank, from_vectors(turn))
+    of_views = {
+        "camera": off,
+        "foreign": foreign.flatten(2).amax(2).cpu().numpy() > 0.0,
+        "hidden": hidden.flatten(2).amax(2).cpu().numpy() > 0.0,
+        "outline": bank.outline[rows, view].cpu().numpy(),
+        "unrelated": unrelated,
+    }
+    for name, of_cloud in of_clouds.items():
+        of_views[name] = np.broadcast_to(of_cloud[:, None], shape)
+    troubles = np.stack([of_views[name] for name in TROUBLES], -1)
+    return {
+        # Of the scene, also for a view that shows another: that is the trouble.
+        "rotation": turns @ bank.rotation[_to(bank, scene)],
+        "closeness": bank.closeness[_to(bank, scene)].float(),
+        "zoom": _to(bank, np.exp(zoom[..., 0])),
+        "shift": _to(bank, shift),
+        "distance": distance,
+        "known": known,
+        "foreign": foreign,
+        "hidden": hidden,
+        "depth": depth,
+        "metric": metric,
+        "size": bank.size[rows, view].float(),
+        "troubles": _to(bank, troubles.astype(np.float32)),
+    }
+
+
+def _depths(
+    bank: Bank, scene: Indices, unrelated: Bits, rng: np.random.Generator
+) -> tuple[Tensor, Tensor]:
+    """Depth maps as devices and networks give them [B, V, G, G], and which are metric [B, V]."""
+    row = bank.of_depth[scene]
+    given = (row >= 0) & ~unrelated & (rng.random(scene.shape) < DEPTH_SHARE)
+    metric = given & (rng.random(scene.shape) >= FITTED_SHARE)
+    maps = torch.full((*scene.shape, SCENE_GRID, SCENE_GRID), torch.nan, device=bank.device)
+    some = np.argwhere(given)
+    if len(some):
+        at, view = _to(bank, some[:, 0]), _to(bank, some[:, 1])
+        depth = bank.depth[_to(bank, row[given]), view].float()
+        size = (len(some), SCENE_GRID, SCENE_GRID)
+        noisy = rng.random(len(some)) < NOISY_SHARE
+        scale = [rng.uniform(0.0, most, len(some)) * noisy for most in (CELL_NOISE, RELIEF_NOISE)]
+        cell, relief = (
+            _to(bank, values[:, None, None] * field)
+            for values, field in zip(
+                scale, (rng.normal(size=size), _smooth(rng, size[0])), strict=True
+            )
+        )
+        middle = depth.flatten(1).nanmean(1)[:, None, None]
+        depth = depth + cell + relief * 0.5 + relief * (depth - middle)
+        holes = rng.uniform(0.0, MOST_HOLES, len(some)) * (rng.random(len(some)) < HOLES_SHARE)
+        field = _smooth(rng, size[0])
+        bound = np.array([np.quantile(f, h) for f, h in zip(field, holes, strict=True)])
+        hole = _to(bank, (field < bound[:, None, None]) & (holes > 0.0)[:, None, None])
+        maps[at, view] = torch.where(hole, torch.nan, depth)
+    return maps, _to(bank, metric.astype(np.float32))
+
+
+def _smooth(rng: np.random.Generator, count: int) -> Array:
+    """[count, SCENE_GRID, SCENE_GRID] of smooth noise of deviation 1."""
+    coarse = torch.from_numpy(rng.normal(size=(count, 1, 7, 7)))
+    size = (SCENE_GRID, SCENE_GRID)
+    smooth = functional.interpolate(coarse, size, mode="bicubic", align_corners=True)[:, 0]
+    return smooth.numpy()
+
+
+def _maps(
+    bank: Bank, rows: Tensor, view: Tensor, rng: np.random.Generator
+) -> tuple[Tensor, Tensor]:
     """Signed distances and what is known of them, [B, VIEWS, SCENE_GRID, SCENE_GRID] each."""
-    distance = bank.distance[_to(bank, scene)].float()
+    distance = bank.distance[rows, view].float()
     noise = rng.normal(0.0, DISTANCE_NOISE, (*distance.shape[:2], 1, 1))
-    window = bank.window[_to(bank, scene)][:, :, :, None]
+    window = bank.window[rows, view][:, :, :, None]
     place = torch.arange(SCENE_GRID, device=bank.device)
     columns = (place >= window[:, :, 0]) & (place < window[:, :, 2])
-    rows = (place >= window[:, :, 1]) & (place < window[:, :, 3])
-    return distance + _to(bank, noise), (rows[..., :, None] & columns[..., None, :]).float()
+    lines = (place >= window[:, :, 1]) & (place < window[:, :, 3])
+    return distance + _to(bank, noise), (lines[..., :, None] & columns[..., None, :]).float()
 
 
 def mirrored(batch: Batch, chosen: Tensor) -> Batch:
@@ -206,12 +371,13 @@ def mirrored(batch: Batch, chosen: Tensor) -> Batch:
     def flipped(maps: Tensor) -> Tensor:
         return torch.where(chosen[:, None, None, None], maps.flip(-1), maps)
 
-    return Batch(
-        batch.start * flip,
-        batch.target * flip,
-        batch.counterpart * flip,
-        batch.rotation * flip[:, None] * flip[:, None].mT,
-        batch.closeness,
-        flipped(batch.distance),
-        flipped(batch.known),
+    maps = ("distance", "known", "foreign", "hidden", "depth")
+    return replace(
+        batch,
+        start=batch.start * flip,
+        target=batch.target * flip,
+        counterpart=batch.counterpart * flip,
+        rotation=batch.rotation * flip[:, None] * flip[:, None].mT,
+        shift=batch.shift * flip[..., :2],
+        **{name: flipped(getattr(batch, name)) for name in maps},
     )

@@ -19,10 +19,12 @@ from ...io.output import write_file
 from ...io.reading import shown
 from ...prior.file import packed_prior
 from ...version import __version__
-from ..state import MOMENTS, state_path
-from .config import AVERAGING, LEARNING_RATE, OF_PREDICTIONS, WEIGHT_DECAY, PriorConfig
+from ..state import state_path
+from .config import AVERAGING, OF_PREDICTIONS, PriorConfig
+from .loss import PARTS
+from .optimiser import Optimiser
 
-FORMAT = "tso-prior-training-1"
+FORMAT = "tso-prior-training-2"
 Weights = Mapping[str, NDArray[Any]]
 
 
@@ -32,14 +34,14 @@ class PriorState:
 
     weights : name -> parameter, in the order of the optimiser.
     fingerprint : digest of the shapes of the training.
-    history : the loss of every step.
+    history : the parts of the loss of every step (`loss.PARTS`).
     average : running mean of each weight; empty before the first step.
     """
 
     weights: dict[str, Tensor]
-    optimiser: torch.optim.AdamW
+    optimiser: Optimiser
     fingerprint: str
-    history: list[float] = field(default_factory=list)
+    history: list[list[float]] = field(default_factory=list)
     average: dict[str, Tensor] = field(default_factory=dict)
 
     @property
@@ -70,10 +72,7 @@ def new_state(initial: Weights, fingerprint: str, device: torch.device) -> Prior
         name: torch.tensor(np.asarray(array, np.float32), device=device, requires_grad=True)
         for name, array in initial.items()
     }
-    optimiser = torch.optim.AdamW(
-        weights.values(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY, fused=True
-    )
-    return PriorState(weights, optimiser, fingerprint)
+    return PriorState(weights, Optimiser(weights), fingerprint)
 
 
 def save_training(
@@ -90,13 +89,9 @@ def save_training(
         "version": __version__,
     }
     prior = packed_prior(state.averaged(), about)
-    tensors = dict(state.weights)
-    for name, weight in state.weights.items():
-        for moment in MOMENTS:
-            value = state.optimiser.state[weight].get(moment, torch.zeros_like(weight))
-            tensors[f"{moment}.{name}"] = value
+    tensors = state.weights | state.optimiser.state(state.step)
     tensors |= {f"average.{name}": mean for name, mean in state.average.items()}
-    tensors["history"] = torch.tensor(state.history, dtype=torch.float64)
+    tensors["history"] = torch.tensor(state.history, dtype=torch.float64).reshape(-1, len(PARTS))
     values = {
         "training_set": training_set,
         "settings": config.settings(),
@@ -126,8 +121,10 @@ def check_resumable(path: Path, config: PriorConfig) -> dict[str, Any]:
     for name, value in of_this_run.items():
         before = settings.get(name) if isinstance(settings, dict) else None
         if before != value:
+            # All other settings are options.
+            what = name if name == "recipe" else f"`{name}`"
             raise InputError(
-                f"{file}: was trained with `{name}` {shown(before)}, this run asks for {value}; "
+                f"{file}: was trained with {what} {shown(before)}, this run asks for {value}; "
                 "expected the same settings to resume"
             )
     return about
@@ -150,18 +147,17 @@ def load_training(
     if about.get("fingerprint") != fingerprint:
         found = f"was trained on other shapes ({shown(about.get('training_set'))})"
         raise InputError(f"{file}: {found}, expected the same shapes to resume")
-    kinds = (*MOMENTS, "average") if step else MOMENTS
-    shapes: dict[str, tuple[int, ...]] = {"history": (step,)}
-    for name, array in initial.items():
-        shapes |= {f"{prefix}{name}": array.shape for prefix in ("", *(f"{k}." for k in kinds))}
+    shapes: dict[str, tuple[int, ...]] = {"history": (step, len(PARTS))}
+    for prefix in ("", "average.") if step else ("",):
+        shapes |= {f"{prefix}{name}": array.shape for name, array in initial.items()}
+    remembered = new_state(initial, fingerprint, device).optimiser.state(0)
+    shapes |= {name: tuple(tensor.shape) for name, tensor in remembered.items()}
     tensors = read_tensors(file, shapes)
     state = new_state({name: tensors[name].numpy() for name in initial}, fingerprint, device)
     state.history.extend(tensors["history"].double().tolist())
-    for name, weight in state.weights.items() if step else ():
-        moments = {kind: tensors[f"{kind}.{name}"].to(device) for kind in MOMENTS}
-        done = torch.tensor(float(step), device=device)
-        state.optimiser.state[weight] = {"step": done, **moments}
-        state.average[name] = tensors[f"average.{name}"].to(device)
+    if step:
+        state.optimiser.restore(tensors, step)
+        state.average |= {name: tensors[f"average.{name}"].to(device) for name in initial}
     return state
 
 
@@ -171,6 +167,7 @@ def write_history(
     """Write the settings, then the loss of every step, one JSON object on each line."""
     about = {"supervision": "prior", "training_set": training_set, "version": __version__}
     lines = [json.dumps(about | config.settings())]
-    for step, value in enumerate(state.history, 1):
-        lines.append(json.dumps({"step": step, "loss": value}))
+    for step, parts in enumerate(state.history, 1):
+        row = {"step": step, "loss": sum(parts), **dict(zip(PARTS, parts, strict=True))}
+        lines.append(json.dumps(row))
     write_file(path, ("\n".join(lines) + "\n").encode(), overwrite)

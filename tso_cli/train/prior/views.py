@@ -11,8 +11,8 @@ from ...geometry.rotations import from_quaternion, from_vectors
 USUAL_CHANCE = 0.75
 USUAL_ELEVATION, ANY_ELEVATION = (-5.0, 40.0), (-40.0, 88.0)  # degrees above the horizon
 ROLL = 4.0  # degrees, standard deviation of a camera that is held upright
-ANY_ROLL_CHANCE = 0.2
-LYING_CHANCE = 0.1  # of an object whose up is any direction, such as a cloud that lies on its side
+ANY_ROLL_CHANCE = 0.4
+LYING_CHANCE = 0.2  # of an object whose up is any direction, such as a cloud that lies on its side
 DISTANCE = (1.8, 3.6)  # in longest sides of the object
 ORTHOGRAPHIC_CHANCE = 0.05
 
