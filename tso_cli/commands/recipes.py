@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +38,7 @@ def read_recipe(ctx: click.Context, parameter: click.Parameter, path: Path | Non
     from ..io.reading import shown
     from ..io.shipped import PACKAGE
     from .option_files import read_options, set_defaults
+    from .refine_record import digest_of
 
     if str(path) in RECIPES:
         path = PACKAGE / "recipes" / f"{path}.toml"
@@ -47,9 +47,8 @@ def read_recipe(ctx: click.Context, parameter: click.Parameter, path: Path | Non
     if table is not None and not isinstance(table, dict):
         raise InputError(f"{path}: render is {shown(table)}, expected a table of options")
     set_defaults(ctx, path, document)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
     ctx.meta[options.CONFIG] = path
-    ctx.meta[RECIPE] = Recipe(path, f"{path.name} {digest[:16]}", table)
+    ctx.meta[RECIPE] = Recipe(path, f"{path.name} {digest_of(path)[:16]}", table)
 
 
 def render(recipe: Recipe, meshes: Path | None, output: Path) -> Path:
