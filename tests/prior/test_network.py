@@ -19,7 +19,7 @@ from tso_cli.prior.features import (
     features,
 )
 from tso_cli.prior.network import fused, initial, predict, shapes
-from tso_cli.prior.torch_backend import TORCH, nearest_few
+from tso_cli.prior.torch_backend import TORCH, nearest_few_in_rows
 
 
 def in_torch(sight):
@@ -173,7 +173,7 @@ def test_bilinear_samples_are_the_linear_function_that_maps_hold():
 def test_the_nearest_few_in_single_precision_are_those_of_all_pairs():
     generator = torch.Generator().manual_seed(3)
     queries, data = (torch.rand(5, count, 3, generator=generator) for count in (40, 70))
-    near = nearest_few(queries, data, 4)
+    near = nearest_few_in_rows(queries, data, 4)
     distances = torch.cdist(queries, data)
     expected = distances.topk(4, largest=False).values
     torch.testing.assert_close(distances.gather(2, near), expected, rtol=2e-4, atol=1e-6)

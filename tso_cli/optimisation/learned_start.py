@@ -12,7 +12,7 @@ from ..geometry.points import root_mean_square
 from ..losses.projection import project_differentiably
 from ..prior import Frame, LearnedPrior, SeenCloud, Shown
 from .objective import ViewTargets
-from .problem import Problem
+from .problem import Problem, WindowedView
 
 # How often the network looks at the cloud; each time it sees where the cloud has got to.
 PASSES = 2
@@ -47,7 +47,7 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
     """
     start = problem.cloud.start
     targets, frame = problem.targets(weights), Frame.of(start)
-    seen = seen_cloud(problem, weights, frame)
+    seen = seen_cloud(start, problem.windowed, problem.all_weights(weights), frame)
     answer = seen.ask(prior, start) if seen.views else None
     if answer is None:
         return Beginning(start)
@@ -71,10 +71,12 @@ def beginning(problem: Problem, weights: Sequence[float], prior: LearnedPrior) -
     return Beginning(points, False, asked, first.sureness)
 
 
-def seen_cloud(problem: Problem, weights: Sequence[float], frame: Frame) -> SeenCloud:
-    """The start and what the views show of it, for a prior."""
-    start, shown = problem.cloud.start, []
-    for windowed, weight in zip(problem.windowed, problem.all_weights(weights), strict=True):
+def seen_cloud(
+    start: Array, views: Sequence[WindowedView], weights: Sequence[float], frame: Frame
+) -> SeenCloud:
+    """The normalised ``start`` [N, 3] and what the ``views`` show of it, for a prior."""
+    shown = []
+    for windowed, weight in zip(views, weights, strict=True):
         if weight > 0.0:
             view = windowed.resampled
             shown.append(

@@ -16,7 +16,7 @@ from ..losses.nearest import nearest_few
 from .backend import NUMPY
 from .features import DENSE, INTERPOLATED_FROM, NODES, Sight, features
 from .file import EXPECTED, read_prior, shipped_prior
-from .network import Weights, fused, predict
+from .network import Answers, Weights, fused, predict
 from .view import Frame, Shown
 
 # Samples of a cloud whose answers are averaged. With one, a third of a displacement is chance.
@@ -54,25 +54,23 @@ class Answer:
 
     displacements : [N, 3]. sureness : the mean logarithm of the weights along the lines of sight,
         over points and views; low where the depth is hard to guess.
-    cells, troubles : [V, KINDS_OF_CELL, GRID, GRID] and [V, T], probabilities, see
-        `network.Answers`.
     """
 
     displacements: Array
     sureness: float
-    cells: Array
-    troubles: Array
 
 
 @dataclass(frozen=True, eq=False)
-class _OfView:
-    """What a prior answers in one view: displacements and logarithms of weights [N, 3] in the axes
-    of the view, and the probabilities of `network.Answers`.
+class Doubts:
+    """What a prior finds wrong with V views of a cloud, as probabilities.
+
+    foreign, hidden : [V, GRID, GRID], that a cell shows foreground that is not the object's, and
+        that something hides a part of the object there.
+    troubles : [V, T], of `network.TROUBLES`.
     """
 
-    displacements: Array
-    log_weights: Array
-    cells: Array
+    foreign: Array
+    hidden: Array
     troubles: Array
 
 
@@ -95,22 +93,35 @@ class SeenCloud:
         None where the answer is not finite.
         """
         framed = (points - self.frame.centre) / self.frame.scale
-        of_views = [
-            _answer(prior, framed @ view.rotation.T, view, samples)
-            for view, samples in zip(self.views, self._samples, strict=True)
-        ]
-        displacements = np.stack([said.displacements for said in of_views])[None]
-        log_weights = np.stack([said.log_weights for said in of_views])[None]
+        of_views = []
+        for view, samples in zip(self.views, self._samples, strict=True):
+            said = _said(prior, framed @ view.rotation.T, view, samples, doubts=False)
+            of_views.append(
+                (_spread(samples, said.displacements), _spread(samples, said.log_weights))
+            )
+        displacements, log_weights = (np.stack(each)[None] for each in zip(*of_views, strict=True))
         rotations = np.stack([view.rotation for view in self.views])[None]
         weighed = log_weights + np.log([view.weight for view in self.views])[:, None, None]
         moves: Array = self.frame.scale * fused(NUMPY, displacements, weighed, rotations)[0]
         sureness = float(log_weights[..., 2].mean())
-        if not np.isfinite(moves).all():
-            return None
-        cells, troubles = (
-            np.stack([getattr(said, name) for said in of_views]) for name in ("cells", "troubles")
-        )
-        return Answer(moves, sureness, cells, troubles)
+        return Answer(moves, sureness) if np.isfinite(moves).all() else None
+
+    def doubts(self, prior: LearnedPrior) -> Doubts:
+        """What the prior finds wrong with the views of the start."""
+        framed = (self.start - self.frame.centre) / self.frame.scale
+        cells, troubles = [], []
+        for view, samples in zip(self.views, self._samples, strict=True):
+            said = _said(prior, framed @ view.rotation.T, view, samples, doubts=True)
+            cells.append(_probabilities(said.cells))
+            troubles.append(_probabilities(said.troubles))
+        foreign, hidden = np.stack(cells, 1)
+        return Doubts(foreign, hidden, np.stack(troubles))
+
+
+def _probabilities(log_odds: Array) -> Array:
+    """The mean over samples."""
+    mean: Array = np.mean(1.0 / (1.0 + np.exp(-log_odds)), axis=0)
+    return mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,8 +163,10 @@ def _samples(points: Array) -> list[_Sample]:
     return [_Sample.of(points, along, (number + 0.5) / SAMPLES) for number in range(SAMPLES)]
 
 
-def _answer(prior: LearnedPrior, points: Array, view: Shown, samples: Sequence[_Sample]) -> _OfView:
-    """What the ``prior`` answers in a view, the mean over ``samples`` of the ``points`` [N, 3]."""
+def _said(
+    prior: LearnedPrior, points: Array, view: Shown, samples: Sequence[_Sample], doubts: bool
+) -> Answers:
+    """What the network answers in a view, for each of the ``samples`` of the ``points`` [N, 3]."""
     dense = points[np.stack([sample.chosen for sample in samples])]
 
     def alike(value: Array | float) -> Array:
@@ -170,17 +183,15 @@ def _answer(prior: LearnedPrior, points: Array, view: Shown, samples: Sequence[_
         metric=alike(float(view.metric)),
         size=alike(view.size),
     )
-    said = predict(NUMPY, prior.weights, features(NUMPY, dense, min(NODES, dense.shape[1]), sight))
+    given = features(NUMPY, dense, min(NODES, dense.shape[1]), sight)
+    return predict(NUMPY, prior.weights, given, doubts)
 
-    def spread(of_nodes: Array) -> Array:
-        each = [part.spread(values) for part, values in zip(samples, of_nodes, strict=True)]
-        mean: Array = np.mean(each, axis=0)
-        return mean
 
-    cells, troubles = (
-        np.mean(1.0 / (1.0 + np.exp(-values)), axis=0) for values in (said.cells, said.troubles)
-    )
-    return _OfView(spread(said.displacements), spread(said.log_weights), cells, troubles)
+def _spread(samples: Sequence[_Sample], of_nodes: Array) -> Array:
+    """[N, 3] of all points, the mean over ``samples``."""
+    each = [sample.spread(values) for sample, values in zip(samples, of_nodes, strict=True)]
+    mean: Array = np.mean(each, axis=0)
+    return mean
 
 
 def _every(total: int, count: int, shift: float) -> Indices:

@@ -15,7 +15,7 @@ from ..kernels.nearest import nearest_in_rows
 ROWS_AT_ONCE = 2
 
 
-def nearest_few(queries: Tensor, data: Tensor, few: int) -> Tensor:
+def nearest_few_in_rows(queries: Tensor, data: Tensor, few: int) -> Tensor:
     """[B, Q, few]: which of ``data`` [B, N, D] are nearest to ``queries`` [B, Q, D], in order.
 
     For few points in many rows, in single precision. The number of a point takes the place of the
@@ -69,10 +69,9 @@ class TorchBackend:
 
     def nearest(self, queries: Tensor, data: Tensor) -> Tensor:
         if queries.device.type == "cpu":
-            small = queries.dtype == torch.float32
-            return (
-                nearest_few(queries, data, 1)[..., 0] if small else nearest_in_rows(queries, data)
-            )
+            if queries.dtype == torch.float32:
+                return nearest_few_in_rows(queries, data, 1)[..., 0]
+            return nearest_in_rows(queries, data)
         # |q - d|^2 - |q|^2 as one product of matrices, which writes its result once.
         extended = torch.cat([-2.0 * data, data.square().sum(-1, keepdim=True)], -1)
         ones = torch.ones_like(queries[..., :1])

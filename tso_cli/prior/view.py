@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..evaluation.footprint import footprint
-from ..geometry.arrays import Array, Bits, Box
+from ..geometry.arrays import Array, Bits, Box, Indices
 from ..geometry.camera import NEAR, Camera
 from ..losses.mask_chamfer import MaskTarget
 from .features import CELL, FAR, GRID, HALF, LEFT_OUT
@@ -136,6 +136,25 @@ class Shown:
             metric,
             size,
         )
+
+
+def cells_of_maps(camera: Camera, frame: Frame) -> tuple[Indices, Indices]:
+    """Row and column [H, W], in the maps of `features`, of what each pixel of a ``camera`` shows.
+
+    ``frame`` is in the axes and the unit of the camera's scene. Beyond the maps it is the nearest
+    cell.
+    """
+    across, down = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    rays = np.stack([across, down, np.ones_like(across)], -1) @ np.linalg.inv(camera.K).T
+    middle = camera.R @ frame.centre + camera.t
+    if camera.model == "perspective":
+        rays = rays @ turn_to_front(middle).T
+        u = frame.scale / float(np.linalg.norm(middle))
+        w = rays[..., :2] / (u * rays[..., 2:].clip(1e-9))
+    else:
+        w = (rays[..., :2] - middle[:2]) / frame.scale
+    column, row = np.moveaxis(((w + HALF) / CELL).clip(0, GRID - 1).astype(int), -1, 0)
+    return row, column
 
 
 def _picture(mask: MaskTarget) -> tuple[int, int, int, int]:

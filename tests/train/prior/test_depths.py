@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tso_cli.train.prior import scenes, starts
+from tso_cli.train.prior import scenes, shown, starts
 from tso_cli.train.prior.bank import build_bank
 from tso_cli.train.prior.depths import depth_of
 from tso_cli.train.prior.masks import HALF_SIDE, SCENE_GRID
@@ -45,8 +45,9 @@ def of_maps(shapes, monkeypatch):
             "NOISY_SHARE", "HOLES_SHARE", "FITTED_SHARE",
         )  # fmt: skip
         for name in none:
-            monkeypatch.setattr(starts, name, shares.get(name, 0.0))
-        monkeypatch.setattr(starts, "DEPTH_SHARE", 1.0)
+            module = starts if hasattr(starts, name) else shown
+            monkeypatch.setattr(module, name, shares.get(name, 0.0))
+        monkeypatch.setattr(shown, "DEPTH_SHARE", 1.0)
         bank = build_bank(shapes, 12, 1, chances=scenes.Chances(marred=0.0, depth_maps=1.0))
         return draw(bank, np.random.default_rng(0), 24)
 

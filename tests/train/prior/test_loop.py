@@ -69,13 +69,18 @@ def test_the_weights_change_and_the_given_ones_stay(bank):
     np.testing.assert_array_equal(given["view1"], initial(0)["view1"])
 
 
-def test_the_rate_rises_then_falls_to_zero():
+def test_the_rate_rises_then_stays_then_falls_to_zero():
     config = PriorConfig(steps=2000)
     rates = [config.rate(step) for step in range(2001)]
     assert rates[0] == pytest.approx(0.01)
-    assert rates[99] == pytest.approx(1.0, rel=0.01) == max(rates)
-    assert rates[1000] == pytest.approx(0.5)
+    assert rates[99:1501] == [1.0] * 1402
+    assert (np.diff(rates[1500:]) < 0.0).all()
     assert rates[2000] == 0.0
+
+
+def test_a_longer_training_begins_as_a_shorter():
+    short, long = PriorConfig(steps=2000), PriorConfig(steps=6000)
+    assert [short.rate(step) for step in range(1500)] == [long.rate(step) for step in range(1500)]
 
 
 def test_a_short_training_rises_for_a_tenth_of_it():
@@ -227,10 +232,15 @@ def test_settings_are_at_least_1(name):
         PriorConfig(**{name: 0})
 
 
+# Of the last 50 of 200 steps, in the order of `PARTS`.
+RECORDED = (0.890, 0.0560, 0.0473, 0.1005)
+
+
 @pytest.mark.slow
-def test_the_true_loss_falls(bank):
+def test_half_a_minute_of_training_lowers_the_loss_to_what_it_was(bank):
+    """Instructions and threads change the last bits, and 200 steps some per cent."""
     state = begin()
-    config = PriorConfig(steps=40, batch_size=16, scenes=60)
-    train(bank, config, state)
+    train(bank, PriorConfig(steps=200, batch_size=16, scenes=60), state)
     parts = np.array(state.history)
-    assert (parts[-8:].mean(0) < 0.97 * parts[:8].mean(0)).all()
+    assert (parts[-50:].mean(0) < 0.9 * parts[:50].mean(0)).all()
+    np.testing.assert_allclose(parts[-50:].mean(0), RECORDED, rtol=0.1)

@@ -9,7 +9,8 @@ import torch
 from tests.prior.common import pushing, some_weights
 from tso_cli.prior.features import CELL, GRID, HALF
 from tso_cli.prior.network import TROUBLES
-from tso_cli.train.prior.loss import _Frame, loss
+from tso_cli.train.prior.frame import StartFrame
+from tso_cli.train.prior.loss import loss
 from tso_cli.train.prior.masks import HALF_SIDE
 from tso_cli.train.prior.starts import Batch
 
@@ -104,7 +105,7 @@ def test_maps_are_sampled_anew_in_the_frame_of_the_start(ball):
     """The ball of radius .4 about the origin, for a start that is smaller and off to a side."""
     offset, scale = torch.tensor([0.04, -0.06, 0.05]), 0.9
     batch = batch_of(scale * ball + offset, ball)
-    frame = _Frame.of(batch)
+    frame = StartFrame.of(batch)
     torch.testing.assert_close(frame.centre, offset.expand(3, 3).double(), atol=0.02, rtol=0.0)
     torch.testing.assert_close(frame.scale, torch.full((3,), scale).double(), atol=0.02, rtol=0.0)
     for view, (across, depth) in enumerate((((0, 1), 2), ((2, 1), 0))):
@@ -142,7 +143,7 @@ def wall(depth, **changed):
     start = torch.rand(1, 512, 3, generator=torch.Generator().manual_seed(1)).double() - 0.5
     batch = batch_of(start, start)
     maps = torch.full_like(batch.distance, depth)
-    return _Frame.of(replace(batch, depth=maps, **changed))
+    return StartFrame.of(replace(batch, depth=maps, **changed))
 
 
 def test_a_depth_map_is_seen_in_the_frame_of_the_start():
@@ -163,12 +164,12 @@ def test_a_map_that_is_not_metric_is_fitted_to_the_front_of_the_start():
     batch = batch_of(sphere, sphere)
     front = -(radius**2 - (x**2 + y**2)).clamp_min(0.0).sqrt()
     maps = torch.where(x.hypot(y) < 0.4, 7.0 + 3.0 * front, torch.nan).expand(1, 2, -1, -1).clone()
-    frame = _Frame.of(replace(batch, closeness=0.0 * batch.closeness, depth=maps))
+    frame = StartFrame.of(replace(batch, closeness=0.0 * batch.closeness, depth=maps))
     found, measured = frame.views["depth"][0, 0], frame.views["measured"][0, 0] > 0.0
     assert measured.sum() > 100
     expected = -((0.25 - (0.9 * radius * 0.0) ** 2) ** 0.5)
     assert float(found[measured].min()) == pytest.approx(expected, abs=0.06)
-    upside_down = _Frame.of(replace(batch, closeness=0.0 * batch.closeness, depth=-maps))
+    upside_down = StartFrame.of(replace(batch, closeness=0.0 * batch.closeness, depth=-maps))
     assert not upside_down.views["measured"].any()
 
 

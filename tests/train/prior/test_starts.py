@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tso_cli.prior.network import TROUBLES
-from tso_cli.train.prior import scenes, starts
+from tso_cli.train.prior import scenes, shown, starts
 from tso_cli.train.prior.bank import build_bank
 from tso_cli.train.prior.masks import HALF_SIDE, SCENE_GRID
 from tso_cli.train.prior.shapes import POINTS
@@ -22,7 +22,7 @@ def plain(monkeypatch):
         "CAMERA_SHARE", "UNRELATED_SHARE", "TURNED_SHARE", "ANY_SHARE", "DEPTH_SHARE",
     )  # fmt: skip
     for name in none:
-        monkeypatch.setattr(starts, name, 0.0)
+        monkeypatch.setattr(starts if hasattr(starts, name) else shown, name, 0.0)
     monkeypatch.setattr(starts, "ALL_POINTS_CHANCE", 1.0)
 
 
@@ -220,7 +220,7 @@ def test_a_frame_that_is_off_keeps_the_counterparts(bank, monkeypatch, plain):
 
 def test_noise_makes_an_outline_wider_or_narrower(bank, monkeypatch, plain):
     clean = draw(bank, np.random.default_rng(0), 8)
-    monkeypatch.setattr(starts, "DISTANCE_NOISE", 0.002)
+    monkeypatch.setattr(shown, "DISTANCE_NOISE", 0.002)
     difference = (draw(bank, np.random.default_rng(0), 8).distance - clean.distance).flatten(2)
     torch.testing.assert_close(
         difference, difference[..., :1].expand_as(difference), atol=1e-6, rtol=0.0

@@ -8,9 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ...geometry.arrays import Indices
@@ -62,6 +64,11 @@ class Bank:
     @property
     def device(self) -> torch.device:
         return self.truths.device
+
+    def tensor(self, array: NDArray[Any]) -> Tensor:
+        """The array on the device; floating-point numbers in single precision."""
+        tensor = torch.from_numpy(np.ascontiguousarray(array)).to(self.device)
+        return tensor.float() if tensor.is_floating_point() else tensor
 
 
 def build_bank(

@@ -9,6 +9,7 @@ from typing import Any
 from ...errors import InputError
 
 RISING_STEPS = 100  # over these the learning rate rises, or over a tenth of a short training
+FALLING_SHARE = 0.25  # of the steps; over the last ones the learning rate falls
 AVERAGING = 0.999  # decay of the running mean of the weights, which is saved
 # Settings that a training without predictions does not have.
 OF_PREDICTIONS = ("predicted_by", "predictions")
@@ -75,8 +76,9 @@ class PriorConfig:
     def rate(self, step: int) -> float:
         """The learning rate of ``step``, which counts from 0, as a share of the highest one.
 
-        It rises, then falls to 0 along half a cosine.
+        It rises, stays, and falls to 0 as Hägele et al. (2024, "Scaling laws and compute-optimal
+        training beyond fixed training durations") let it: a longer training begins as a shorter.
         """
         rising = max(1, min(RISING_STEPS, self.steps // 10))
-        falling = (1.0 + math.cos(math.pi * step / self.steps)) / 2.0
-        return min(1.0, (step + 1) / rising) * falling
+        left = (self.steps - step) / (FALLING_SHARE * self.steps)
+        return min(1.0, (step + 1) / rising, 1.0 - math.sqrt(max(0.0, 1.0 - left)))

@@ -126,10 +126,11 @@ def draw_predictions(
         if predictor.knows(shapes.shapes[scene.shape].category) and _is_upright(scene)
     ]
     if not known:
-        found = (
-            f"`predicted_by`: none of the scenes shows {' or '.join(predictor.categories or ())}"
+        what = " or ".join(predictor.categories or ("an object",))
+        raise InputError(
+            f"`predicted_by`: none of {len(scenes)} scenes shows {what} upright, "
+            "expected one that the network can predict; draw more scenes"
         )
-        raise InputError(f"{found}, expected some that the network knows")
     rng = np.random.default_rng([seed, 4])
     chosen = np.sort(rng.choice(known, min(count, len(known)), replace=False)).tolist()
     of_scene, clouds = np.full(len(scenes), -1), list[Floats]()

@@ -27,6 +27,7 @@ POINTS = 512  # of one sampling: what the network sees of a cloud
 CANDIDATES = 2500
 # Larger meshes take long to draw, and their details are finer than a mask shows.
 MOST_FACES = 150_000
+RULED_SHARE = 0.4  # of the chances, where there are meshes too
 UPRIGHT_AXES = (0, 2)  # y is up: a mirror plane that is upright has its normal along x or z
 
 
@@ -70,9 +71,10 @@ class ShapeSet:
     def chances(self) -> Array:
         """The chance [S] of every shape to be drawn; the sum is 1.
 
-        Meshes and shapes by rule have equal shares. Within each, a category counts by the square
-        root of its number of kinds, so that a large category neither drowns the others nor is seen
-        as rarely. The kinds of a category, and the variants of a kind, have equal chances.
+        Shapes by rule have RULED_SHARE of the chances, meshes the rest. Within each, a category
+        counts by the square root of its number of kinds, so that a large category neither drowns
+        the others nor is seen as rarely. The kinds of a category, and the variants of a kind, have
+        equal chances.
         """
         groups = [(shape.by_rule, shape.category) for shape in self.shapes]
         variants = Counter((shape.by_rule, shape.kind) for shape in self.shapes)
@@ -86,8 +88,8 @@ class ShapeSet:
             ]
         )
         ruled = np.array([shape.by_rule for shape in self.shapes])
-        for part in (ruled, ~ruled):
-            weights[part] /= weights[part].sum()
+        for part, share in ((ruled, RULED_SHARE), (~ruled, 1.0 - RULED_SHARE)):
+            weights[part] = share * weights[part] / weights[part].sum()
         chances: Array = weights / weights.sum()
         return chances
 

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional
 
 from ...geometry.arrays import Array, Bits, Indices
 from ...geometry.rotations import from_vectors
-from ...prior.network import TROUBLES
 from ...prior.torch_backend import TORCH
 from .bank import Bank
-from .masks import SCENE_GRID
 from .shapes import POINTS
+from .shown import what_views_show
 from .warps import STRENGTH, draw_lattices, warped
 
 # Kinds of start; all that are neither right nor near are other shapes, or predictions of a network
@@ -38,18 +34,9 @@ TURNED_SHARE, TURN = 0.5, 0.07  # of these, about a random axis; radians, standa
 PLANE_SHARE, MOST_ON_PLANE, PLANE_SIDE = 0.06, 0.35, (1.0, 2.0)
 # Of all starts: the points are up to e^this times as dense at an end as at the other.
 UNEVEN_SHARE, UNEVEN = 0.3, 4.0
-# Of all views: a camera that is off by a rotation, a zoom and a shift, each of these deviations.
-CAMERA_SHARE, CAMERA = 0.12, (0.04, 0.04, 0.02)
-UNRELATED_SHARE = 0.02  # of all views: what is seen is another scene
-# Of views with a depth map: fitted maps; deviations of the noise of cells and of the relief; maps
-# with holes, and the most cells that are holes.
-FITTED_SHARE, CELL_NOISE, RELIEF_NOISE, HOLES_SHARE, MOST_HOLES = 0.5, 0.02, 0.1, 0.5, 0.5
-NOISY_SHARE = 0.6
-DEPTH_SHARE = 0.8  # of the views of a scene with depth maps
 # Of all starts: among their points some belong to nothing, up to this share, in a box of this size.
 STREWN_CHANCE, MOST_STREWN, STREWN_BOX = 0.06, 0.08, 1.5
 ALL_POINTS_CHANCE, LEAST_POINTS = 0.75, 64  # of a batch
-DISTANCE_NOISE = 0.002  # one number for each map: an outline that is drawn too wide or too narrow
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +87,8 @@ def draw(bank: Bank, rng: np.random.Generator, count: int) -> Batch:
     if rng.random() >= ALL_POINTS_CHANCE:
         points = int(np.exp(rng.uniform(np.log(LEAST_POINTS), np.log(POINTS))))
     side = rng.integers(2, size=count)
-    target = bank.truths[_to(bank, scene), _to(bank, side)]
-    sample = bank.truths[_to(bank, scene), _to(bank, 1 - side)]
+    target = bank.truths[bank.tensor(scene), bank.tensor(side)]
+    sample = bank.truths[bank.tensor(scene), bank.tensor(1 - side)]
     kind = rng.random(count)
     near = (kind >= RIGHT_SHARE) & (kind < RIGHT_SHARE + NEAR_SHARE)
     other = kind >= RIGHT_SHARE + NEAR_SHARE
@@ -109,32 +96,26 @@ def draw(bank: Bank, rng: np.random.Generator, count: int) -> Batch:
     start, shape = sample.clone(), bank.shape[scene]
     _warp(bank, start, shape, near, rng, NEAR_STRENGTH)
     _replace_by_others(bank, start, shape, other & ~predicted, rng)
-    start[_to(bank, predicted)] = bank.predicted[_to(bank, bank.prediction[scene[predicted]])]
+    start[bank.tensor(predicted)] = bank.predicted[bank.tensor(bank.prediction[scene[predicted]])]
     counterpart = torch.where(_rows(bank, other), torch.nan, sample)
     moved = _move(start, rng)
-    chosen = _to(bank, _chosen(start, points, rng))[..., None].expand(-1, -1, 3)
+    chosen = bank.tensor(_chosen(start, points, rng))[..., None].expand(-1, -1, 3)
     start, counterpart = start.gather(1, chosen), counterpart.gather(1, chosen)
     _strew(start, counterpart, rng)
     foreign_points, with_plane = _add_plane(start, counterpart, rng)
-    order = _to(bank, rng.random((count, points)).argsort(1))
+    order = bank.tensor(rng.random((count, points)).argsort(1))
     foreign_points = foreign_points.gather(1, order)
     order = order[..., None].expand(-1, -1, 3)
     start, counterpart = start.gather(1, order), counterpart.gather(1, order)
     of_clouds = {"shape": near | other, "moved": moved, "plane": with_plane}
-    views = _views(bank, scene, of_clouds, rng)
+    views = what_views_show(bank, scene, of_clouds, rng)
     batch = Batch(start, target, counterpart, foreign_points, **views)
-    return mirrored(batch, _to(bank, rng.random(count) < 0.5))
-
-
-def _to(bank: Bank, array: NDArray[Any]) -> Tensor:
-    """The array as a tensor on the bank's device; floating-point numbers in single precision."""
-    tensor = torch.from_numpy(np.ascontiguousarray(array)).to(bank.device)
-    return tensor.float() if tensor.is_floating_point() else tensor
+    return mirrored(batch, bank.tensor(rng.random(count) < 0.5))
 
 
 def _rows(bank: Bank, chosen: Bits) -> Tensor:
     """``chosen`` [B] as a tensor [B, 1, 1]."""
-    return _to(bank, chosen)[:, None, None]
+    return bank.tensor(chosen)[:, None, None]
 
 
 def _warp(
@@ -147,11 +128,11 @@ def _warp(
 ) -> None:
     """Deform the ``chosen`` rows of ``start``."""
     rows = np.flatnonzero(chosen)
-    clouds = start[_to(bank, rows)]
+    clouds = start[bank.tensor(rows)]
     low, high = clouds.amin(1), clouds.amax(1)
     sizes = (high - low).cpu().numpy()
     lattices = draw_lattices(rng, sizes, bank.mirror_axes[shape[rows]], strength)
-    start[_to(bank, rows)] = warped(clouds, low, high, _to(bank, lattices))
+    start[bank.tensor(rows)] = warped(clouds, low, high, bank.tensor(lattices))
 
 
 def _replace_by_others(
@@ -163,11 +144,11 @@ def _replace_by_others(
     first, third = (_draw_others(bank, shape[rows], rng) for _ in range(2))
     any_shape = rng.integers(len(bank.samplings), size=count)
     first = np.where(rng.random(count) < ANY_SHARE, any_shape, first)
-    clouds = bank.samplings[_to(bank, first), _to(bank, rng.integers(2, size=count))]
+    clouds = bank.samplings[bank.tensor(first), bank.tensor(rng.integers(2, size=count))]
     _warp(bank, clouds, first, rng.random(count) < WARPED_SHARE, rng, STRENGTH)
     _blend(bank, clouds, third, rng)
     normalised = _rows(bank, rng.random(count) < NORMALISED_SHARE)
-    start[_to(bank, rows)] = torch.where(normalised, _normalised(clouds), clouds)
+    start[bank.tensor(rows)] = torch.where(normalised, _normalised(clouds), clouds)
 
 
 def _draw_others(bank: Bank, shape: Indices, rng: np.random.Generator) -> Indices:
@@ -184,10 +165,10 @@ def _blend(bank: Bank, clouds: Tensor, third: Indices, rng: np.random.Generator)
     share = rng.uniform(*BLEND, (len(rows), 1, 1))
     noise = rng.normal(0.0, 1.0, (len(rows), clouds.shape[1], 3))
     noise *= rng.uniform(0.0, BLEND_NOISE, (len(rows), 1, 1))
-    moved, toward = clouds[_to(bank, rows)], bank.samplings[_to(bank, third[rows]), 0]
+    moved, toward = clouds[bank.tensor(rows)], bank.samplings[bank.tensor(third[rows]), 0]
     index = TORCH.nearest(moved, toward)[..., None].expand(-1, -1, 3)
-    moved += _to(bank, share) * (toward.gather(1, index) - moved) + _to(bank, noise)
-    clouds[_to(bank, rows)] = moved
+    moved += bank.tensor(share) * (toward.gather(1, index) - moved) + bank.tensor(noise)
+    clouds[bank.tensor(rows)] = moved
 
 
 def _normalised(clouds: Tensor) -> Tensor:
@@ -262,102 +243,6 @@ def _add_plane(start: Tensor, counterpart: Tensor, rng: np.random.Generator) -> 
     start.copy_(torch.where(foreign[..., None], planes, start))
     counterpart.copy_(torch.where(foreign[..., None], planes, counterpart))
     return foreign.float(), chosen
-
-
-def _views(
-    bank: Bank, scene: Indices, of_clouds: dict[str, Bits], rng: np.random.Generator
-) -> dict[str, Tensor]:
-    """What the views of the scenes show, by the names of a `Batch`."""
-    shape = (len(scene), bank.rotation.shape[1])
-    unrelated = rng.random(shape) < UNRELATED_SHARE
-    seen = np.where(unrelated, rng.integers(len(bank.shape), size=shape), scene[:, None])
-    rows, view = _to(bank, seen), torch.arange(shape[1], device=bank.device)
-    distance, known = _maps(bank, rows, view, rng)
-    foreign, hidden = (maps[rows, view].float() for maps in (bank.foreign, bank.hidden))
-    depth, metric = _depths(bank, seen, unrelated, rng)
-    off = rng.random(shape) < CAMERA_SHARE
-    turn, zoom, shift = (
-        rng.normal(0.0, spread, (*shape, size)) * off[..., None]
-        for spread, size in zip(CAMERA, (3, 1, 2), strict=True)
-    )
-    turns = _to(bank, from_vectors(turn))
-    of_views = {
-        "camera": off,
-        "foreign": foreign.flatten(2).amax(2).cpu().numpy() > 0.0,
-        "hidden": hidden.flatten(2).amax(2).cpu().numpy() > 0.0,
-        "outline": bank.outline[rows, view].cpu().numpy(),
-        "unrelated": unrelated,
-    }
-    for name, of_cloud in of_clouds.items():
-        of_views[name] = np.broadcast_to(of_cloud[:, None], shape)
-    troubles = np.stack([of_views[name] for name in TROUBLES], -1)
-    return {
-        # Of the scene, also for a view that shows another: that is the trouble.
-        "rotation": turns @ bank.rotation[_to(bank, scene)],
-        "closeness": bank.closeness[_to(bank, scene)].float(),
-        "zoom": _to(bank, np.exp(zoom[..., 0])),
-        "shift": _to(bank, shift),
-        "distance": distance,
-        "known": known,
-        "foreign": foreign,
-        "hidden": hidden,
-        "depth": depth,
-        "metric": metric,
-        "size": bank.size[rows, view].float(),
-        "troubles": _to(bank, troubles.astype(np.float32)),
-    }
-
-
-def _depths(
-    bank: Bank, scene: Indices, unrelated: Bits, rng: np.random.Generator
-) -> tuple[Tensor, Tensor]:
-    """Depth maps as devices and networks give them [B, V, G, G], and which are metric [B, V]."""
-    row = bank.of_depth[scene]
-    given = (row >= 0) & ~unrelated & (rng.random(scene.shape) < DEPTH_SHARE)
-    metric = given & (rng.random(scene.shape) >= FITTED_SHARE)
-    maps = torch.full((*scene.shape, SCENE_GRID, SCENE_GRID), torch.nan, device=bank.device)
-    some = np.argwhere(given)
-    if len(some):
-        at, view = _to(bank, some[:, 0]), _to(bank, some[:, 1])
-        depth = bank.depth[_to(bank, row[given]), view].float()
-        size = (len(some), SCENE_GRID, SCENE_GRID)
-        noisy = rng.random(len(some)) < NOISY_SHARE
-        scale = [rng.uniform(0.0, most, len(some)) * noisy for most in (CELL_NOISE, RELIEF_NOISE)]
-        cell, relief = (
-            _to(bank, values[:, None, None] * field)
-            for values, field in zip(
-                scale, (rng.normal(size=size), _smooth(rng, size[0])), strict=True
-            )
-        )
-        middle = depth.flatten(1).nanmean(1)[:, None, None]
-        depth = depth + cell + relief * 0.5 + relief * (depth - middle)
-        holes = rng.uniform(0.0, MOST_HOLES, len(some)) * (rng.random(len(some)) < HOLES_SHARE)
-        field = _smooth(rng, size[0])
-        bound = np.array([np.quantile(f, h) for f, h in zip(field, holes, strict=True)])
-        hole = _to(bank, (field < bound[:, None, None]) & (holes > 0.0)[:, None, None])
-        maps[at, view] = torch.where(hole, torch.nan, depth)
-    return maps, _to(bank, metric.astype(np.float32))
-
-
-def _smooth(rng: np.random.Generator, count: int) -> Array:
-    """[count, SCENE_GRID, SCENE_GRID] of smooth noise of deviation 1."""
-    coarse = torch.from_numpy(rng.normal(size=(count, 1, 7, 7)))
-    size = (SCENE_GRID, SCENE_GRID)
-    smooth = functional.interpolate(coarse, size, mode="bicubic", align_corners=True)[:, 0]
-    return smooth.numpy()
-
-
-def _maps(
-    bank: Bank, rows: Tensor, view: Tensor, rng: np.random.Generator
-) -> tuple[Tensor, Tensor]:
-    """Signed distances and what is known of them, [B, VIEWS, SCENE_GRID, SCENE_GRID] each."""
-    distance = bank.distance[rows, view].float()
-    noise = rng.normal(0.0, DISTANCE_NOISE, (*distance.shape[:2], 1, 1))
-    window = bank.window[rows, view][:, :, :, None]
-    place = torch.arange(SCENE_GRID, device=bank.device)
-    columns = (place >= window[:, :, 0]) & (place < window[:, :, 2])
-    lines = (place >= window[:, :, 1]) & (place < window[:, :, 3])
-    return distance + _to(bank, noise), (lines[..., :, None] & columns[..., None, :]).float()
 
 
 def mirrored(batch: Batch, chosen: Tensor) -> Batch:

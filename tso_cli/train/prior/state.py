@@ -147,13 +147,15 @@ def load_training(
     if about.get("fingerprint") != fingerprint:
         found = f"was trained on other shapes ({shown(about.get('training_set'))})"
         raise InputError(f"{file}: {found}, expected the same shapes to resume")
+    state = new_state(initial, fingerprint, device)
     shapes: dict[str, tuple[int, ...]] = {"history": (step, len(PARTS))}
     for prefix in ("", "average.") if step else ("",):
-        shapes |= {f"{prefix}{name}": array.shape for name, array in initial.items()}
-    remembered = new_state(initial, fingerprint, device).optimiser.state(0)
-    shapes |= {name: tuple(tensor.shape) for name, tensor in remembered.items()}
+        shapes |= {f"{prefix}{name}": weight.shape for name, weight in state.weights.items()}
+    shapes |= {name: tensor.shape for name, tensor in state.optimiser.state(0).items()}
     tensors = read_tensors(file, shapes)
-    state = new_state({name: tensors[name].numpy() for name in initial}, fingerprint, device)
+    with torch.no_grad():
+        for name, weight in state.weights.items():
+            weight.copy_(tensors[name])
     state.history.extend(tensors["history"].double().tolist())
     if step:
         state.optimiser.restore(tensors, step)
