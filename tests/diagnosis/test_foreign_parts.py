@@ -8,8 +8,10 @@ import pytest
 from tests.scenes import example
 from tso_cli import RefineConfig, refine
 from tso_cli.cloud.cloud import Cloud
-from tso_cli.diagnosis.foreign_parts import parts_that_explain
+from tso_cli.diagnosis.foreign_parts import parts_seen, parts_that_explain
 from tso_cli.pose.causes import find_move
+from tso_cli.prior import Doubts, Frame, SeenCloud, cells_of_maps, named_prior
+from tso_cli.prior.features import GRID
 from tso_cli.refinement.run import check
 from tso_cli.refinement.scene import as_scene
 
@@ -78,3 +80,35 @@ def test_what_a_cloud_of_other_proportions_explains_too_is_no_foreign_part(talle
     assert move.stretched < 0.05
     assert parts_that_explain(body, [VIEW], replace(move, stretched=np.inf))
     assert parts_that_explain(body, [VIEW], move) == {}
+
+
+@pytest.fixture
+def sees_the_arm(monkeypatch):
+    """The prior finds the cells of the arm foreign, as one that has seen such masks does."""
+    foreign = np.zeros((1, GRID, GRID))
+    cloud = Cloud(CHAIR.points, "points").controlled()
+    camera = VIEW.camera.for_normalised(cloud.centre, cloud.scale)
+    row, column = cells_of_maps(camera, Frame.of(cloud.start))
+    arm = (ARM.mask > 0.5) & (VIEW.mask < 0.5)
+    foreign[0, row[arm], column[arm]] = 0.9
+    doubts = Doubts(foreign, np.zeros_like(foreign), np.zeros((1, 8)))
+    monkeypatch.setattr(SeenCloud, "doubts", lambda seen, prior: doubts)
+    return arm
+
+
+def test_what_the_prior_finds_foreign_is_left_out_for_a_cloud_of_another_shape(sees_the_arm):
+    cloud = Cloud(CHAIR.points, "points").controlled()
+    (part,) = parts_seen(cloud, [ARM], named_prior("learned")).values()
+    assert part.ignored[sees_the_arm].all()
+    assert part.ignored[(VIEW.mask > 0.5)].mean() < 0.1
+    result = refine(CHAIR.points, ARM)
+    assert "foreign-part" in [finding.name for finding in result.findings]
+    assert result.fit.outcome == "moved"
+    assert refine(CHAIR.points, ARM, config=RefineConfig(prior="none")).findings == ()
+
+
+def test_a_mask_that_would_be_foreign_whole_is_used_as_it_is(monkeypatch):
+    doubts = Doubts(np.ones((1, GRID, GRID)), np.zeros((1, GRID, GRID)), np.zeros((1, 8)))
+    monkeypatch.setattr(SeenCloud, "doubts", lambda seen, prior: doubts)
+    cloud = Cloud(CHAIR.points, "points").controlled()
+    assert parts_seen(cloud, [ARM], named_prior("learned")) == {}

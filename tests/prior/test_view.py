@@ -13,7 +13,7 @@ from tso_cli.losses.mask_chamfer import MaskTarget
 from tso_cli.prior import Frame, LearnedPrior, SeenCloud, Shown
 from tso_cli.prior.features import CELL, GRID, HALF
 from tso_cli.prior.learned import _samples
-from tso_cli.prior.view import signed_distance, turn_to_front
+from tso_cli.prior.view import cells_of_maps, signed_distance, turn_to_front
 from tso_cli.render import look_at
 
 from .common import some_weights
@@ -225,3 +225,22 @@ def test_a_whole_object_in_a_tight_picture_is_known_all_around():
     found = Shown.of(camera, mask, None, Frame(np.zeros(3), 1.0))
     assert found.known.all()
     assert_disc(found, 0.4, 0.025)
+
+
+@pytest.mark.parametrize("model", ["perspective", "orthographic"])
+def test_the_cell_of_a_pixel_is_the_cell_whose_centre_is_seen_there(model):
+    camera = look_at(30.0, 20.0, 5.0, (400, 400))
+    if model == "orthographic":
+        K = camera.K.copy()
+        K[[0, 1], [0, 1]] = 180.0
+        camera = Camera(K, camera.R, camera.t, 400, 400, model)
+    frame = Frame(np.array([0.2, -0.1, 0.15]), 1.3)
+    found = shown(ball_in(camera, frame.centre, 0.5), frame)
+    w = np.stack(np.meshgrid(CENTRES, CENTRES), -1)
+    places, _ = camera.project(frame.centre + frame.scale * w.reshape(-1, 2) @ found.rotation[:2])
+    column, row = np.rint(places).astype(int).T
+    inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < 400)
+    rows, columns = cells_of_maps(camera, frame)
+    assert inside.sum() > 1000
+    at_pixels = rows[row[inside], column[inside]] * GRID + columns[row[inside], column[inside]]
+    np.testing.assert_array_equal(at_pixels, np.flatnonzero(inside))

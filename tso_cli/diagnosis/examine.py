@@ -14,14 +14,15 @@ from ..geometry.arrays import Bits
 from ..geometry.points import scattered
 from ..geometry.view import View
 from ..optimisation.view_weights import FEWEST_VIEWS_TO_OUTVOTE
-from ..pose.move import Body, Move
+from ..pose.move import Move
+from ..prior import LearnedPrior
 from . import symptoms
 from .assumptions import Assumption
 from .causes import depth_that_contradicts, findings_of_causes, findings_of_parts
 from .cells import Outline
 from .explain import explain
 from .findings import Finding
-from .foreign_parts import parts_that_explain
+from .foreign_parts import parts_seen, parts_that_explain
 from .placement import Placement, place, why_apart
 from .verification import confirmed
 
@@ -109,11 +110,19 @@ def examine(
     return _explained(diagnosis, cloud, read, views, assumptions) if hypotheses else diagnosis
 
 
-def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Move) -> Diagnosis:
+def explained(
+    diagnosis: Diagnosis,
+    cloud: ControlledCloud,
+    views: Sequence[View],
+    move: Move,
+    prior: LearnedPrior | None,
+) -> Diagnosis:
     """The diagnosis with what explains that a cloud does not fit its masks, after the ``move``.
 
-    A finding that is suspicious already is likelier than a cause with unknowns.
+    A finding that is suspicious already is likelier than a cause with unknowns. Where the shape is
+    wrong too, the ``prior`` judges what in the masks is not the object's.
     """
+    body = cloud.body
     if diagnosis.suspicious:
         return diagnosis
     if move.causes:
@@ -123,11 +132,12 @@ def explained(diagnosis: Diagnosis, body: Body, views: Sequence[View], move: Mov
     if move.fits or np.isnan(move.missed):
         return replace(diagnosis, fits=move.fits)
     parts = parts_that_explain(body, views, move)
-    if not parts:
-        return diagnosis
+    fits = bool(parts)
+    if prior is not None and not fits:
+        parts = parts_seen(cloud, views, prior)
     notes = (*findings_of_parts(parts), *diagnosis.notes)
     hidden = {number: part.ignored for number, part in parts.items()}
-    return replace(diagnosis, fits=True, notes=notes, hidden=hidden)
+    return replace(diagnosis, fits=fits, notes=notes, hidden=hidden)
 
 
 def _explained(

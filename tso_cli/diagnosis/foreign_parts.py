@@ -1,24 +1,29 @@
-"""Parts of a mask or a cloud that the other lacks, where the rest of both agrees.
+"""Parts of a mask that are not the object's, and of a cloud that its mask does not show.
 
 A hand, a stand, a cast shadow or a second object is in a mask; something in front hides a part of
-the object; or a cloud holds a floor. Then the cloud fits its masks as soon as they ignore the part.
+the object; or a cloud holds a floor. A right cloud fits its masks as soon as they ignore the part.
+What a cloud of another shape lacks in its mask, the learned prior judges.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..cloud.cloud import ControlledCloud
 from ..evaluation.footprint import footprint
 from ..geometry.arrays import Array, Bits, Box
 from ..geometry.resampling import area_resize, distance_to_nearest
 from ..geometry.view import View
+from ..optimisation.learned_start import seen_cloud
+from ..optimisation.problem import WindowedView, windowed
 from ..pose.causes import EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING, SIMILAR
 from ..pose.move import Body, Move
 from ..pose.placing import missed_in_parts
 from ..pose.target import Part
+from ..prior import Frame, LearnedPrior, cells_of_maps
 
 # Cells along the side of the square in which silhouette and mask are compared, and the side of the
 # square in longer sides of the cloud's box.
@@ -31,6 +36,10 @@ LEAST_SHARE = 0.01
 AROUND = 2.0
 # The parts leave at least this share of the contours around the cloud: less would fit any cloud.
 LEAST_KEPT = 0.4
+# A cell of the learned prior's maps is foreign if this is its probability. Cells this near to it
+# are left out too.
+LIKELY, NEXT = 0.5, 1.5
+SIGMA_SQ = 1.0  # of a projection that nothing here uses
 # Points that are further out than this share, at both ends of both axes, do not count for the box.
 TAIL = 0.005
 
@@ -39,7 +48,7 @@ TAIL = 0.005
 class Parts:
     """What of one view does not belong together.
 
-    box : the square around the cloud. ignored : [H, W], pixels around the parts. in_mask,
+    box : a square around the cloud. ignored : [H, W], pixels around the parts. in_mask,
     in_cloud : the areas of the parts that the mask has and the cloud lacks, and the other way
     round, in silhouettes of the cloud.
     """
@@ -99,6 +108,36 @@ def parts_that_explain(body: Body, views: Sequence[View], move: Move) -> dict[in
     return parts if missed < most and kept >= LEAST_KEPT else {}
 
 
+def parts_seen(
+    cloud: ControlledCloud, views: Sequence[View], prior: LearnedPrior
+) -> dict[int, Parts]:
+    """By number of the view, what the ``prior`` takes for something else in the masks."""
+    # Depth maps may not be fitted to the cloud yet.
+    masks = [replace(view, depth=None) for view in views]
+    shown = windowed(masks, cloud, SIGMA_SQ, cloud.control_points)
+    frame = Frame.of(cloud.start)
+    seen = seen_cloud(cloud.start, shown, [1.0] * len(shown), frame)
+    if len(seen.views) < len(shown):  # the cloud is at a camera
+        return {}
+    parts = {}
+    for number, (view, foreign) in enumerate(zip(shown, seen.doubts(prior).foreign, strict=True)):
+        if (part := _foreign(view, frame, foreign)) is not None:
+            parts[number] = part
+    return parts
+
+
+def _foreign(shown: WindowedView, frame: Frame, probability: Array) -> Parts | None:
+    """The part of a mask that is probably foreign, by the cells of the prior's maps; or None."""
+    window, foreign = shown.resampled, probability > LIKELY
+    cell, inside = cells_of_maps(window.camera, frame), window.target.inside
+    around = _dilated(foreign, NEXT)[cell]
+    in_mask = inside & foreign[cell]
+    if not in_mask.any() or not (inside & ~around).any():
+        return None
+    ignored, _ = _in_pixels(around, window.box, shown.view)
+    return Parts(window.box, ignored, float(in_mask.sum() / (inside & ~in_mask).sum()), 0.0)
+
+
 def _box_around(points: Array, view: View) -> Box:
     """The square around most of the projected points."""
     pixels, _, visible = view.camera.project_visible(points)
@@ -132,11 +171,11 @@ def _dilated(cells: Bits, radius: float) -> Bits:
 
 def _in_pixels(cells: Bits, box: Box, view: View) -> tuple[Bits, Bits]:
     """[H, W] the pixels in the ``cells`` [C, C] of the ``box``, and those outside the box."""
-    places = []
+    places, side = [], len(cells)
     for count, start in zip(view.mask.shape, (box[1], box[0]), strict=True):
-        cell = np.rint((np.arange(count) - start) * CELLS / (box[2] - box[0]) - 0.5)
+        cell = np.rint((np.arange(count) - start) * side / (box[2] - box[0]) - 0.5)
         places.append(cell.astype(np.int64))
     rows, columns = places[0][:, None], places[1]
-    within = (rows >= 0) & (rows < CELLS) & (columns >= 0) & (columns < CELLS)
-    clipped = (np.clip(some, 0, CELLS - 1) for some in (rows, columns))
+    within = (rows >= 0) & (rows < side) & (columns >= 0) & (columns < side)
+    clipped = (np.clip(some, 0, side - 1) for some in (rows, columns))
     return within & cells[tuple(clipped)], ~within

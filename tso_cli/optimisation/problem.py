@@ -52,7 +52,7 @@ class Problem:
         views, plane = tuple(views), symmetry.plane
         flipped = () if plane is None else tuple(map(plane.flipped, views))
         given, mirrored = (
-            _windowed(some, cloud, sigma_sq, cloud.control_points) for some in (views, flipped)
+            windowed(some, cloud, sigma_sq, cloud.control_points) for some in (views, flipped)
         )
         return cls(cloud, given, mirrored, symmetry, sigma_sq)
 
@@ -79,7 +79,7 @@ class Problem:
         """
         around = self.cloud.denormalise(points)
         given, flipped = (
-            _windowed([one.view for one in some], self.cloud, self.sigma_sq, around, FINE_CELLS)
+            windowed([one.view for one in some], self.cloud, self.sigma_sq, around, FINE_CELLS)
             for some in (self.given, self.flipped)
         )
         return replace(self, given=given, flipped=flipped)
@@ -109,7 +109,7 @@ def prepare(cloud: ControlledCloud, views: Sequence[View], settings: Settings) -
     return Problem.of(cloud, views, symmetry, settings.sigma_sq)
 
 
-def _windowed(
+def windowed(
     views: Sequence[View],
     cloud: ControlledCloud,
     sigma_sq: float,

@@ -17,7 +17,7 @@ from ..optimisation.problem import prepare
 from ..optimisation.settings import Settings
 from ..pose.causes import find_move
 from ..pose.move import Move, unmoved
-from ..prior import named_prior
+from ..prior import LearnedPrior, named_prior
 from .clock import Clock
 from .depth_maps import fit_maps, move_with_maps
 from .judge import judge
@@ -41,7 +41,7 @@ def run(
         prior = named_prior(settings.prior)
         cloud = scene.cloud.controlled(settings.points, scene.views)
     before = scene.views
-    move, scene, diagnosis = _begun(scene, cloud, settings, clock)
+    move, scene, diagnosis = _begun(scene, cloud, settings, prior, clock)
     given = scene.views
     if move.kind != "nothing":
         pairs = zip(before, given, strict=True)
@@ -69,16 +69,20 @@ def run(
 def check(scene: RefineScene, settings: Settings) -> tuple[Diagnosis, ControlledCloud, Move]:
     """What `run` finds before the shape is refined; raises InputError as it does."""
     clock = Clock()
-    named_prior(settings.prior)
+    prior = named_prior(settings.prior)
     cloud = scene.cloud.controlled(settings.points, scene.views)
-    move, _, diagnosis = _begun(scene, cloud, settings, clock)
+    move, _, diagnosis = _begun(scene, cloud, settings, prior, clock)
     if clock.interrupted:
         raise KeyboardInterrupt
     return diagnosis, cloud, move
 
 
 def _begun(
-    scene: RefineScene, cloud: ControlledCloud, settings: Settings, clock: Clock
+    scene: RefineScene,
+    cloud: ControlledCloud,
+    settings: Settings,
+    prior: LearnedPrior | None,
+    clock: Clock,
 ) -> tuple[Move, RefineScene, Diagnosis]:
     """What moves as one first, the scene after it as its shape is refined, and its diagnosis."""
 
@@ -97,7 +101,7 @@ def _begun(
     if diagnosis.apart:
         raise NoOverlapError(diagnosis.after(scene.known), cloud)
     if settings.smooth:
-        find_causes = partial(explained, diagnosis, cloud.body, scene.views, move)
+        find_causes = partial(explained, diagnosis, cloud, scene.views, move, prior)
         diagnosis = clock.attempt("prepare", find_causes, diagnosis)
     scene = fit_maps(scene.without(diagnosis.hidden), cloud, settings, clock)
     return move, scene, diagnosis.after(scene.known)

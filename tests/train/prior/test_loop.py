@@ -69,18 +69,19 @@ def test_the_weights_change_and_the_given_ones_stay(bank):
     np.testing.assert_array_equal(given["view1"], initial(0)["view1"])
 
 
-def test_the_rate_rises_then_stays_then_falls_to_zero():
-    config = PriorConfig(steps=2000)
-    rates = [config.rate(step) for step in range(2001)]
+def test_the_rate_rises_then_falls_to_zero():
+    config = PriorConfig(steps=4000)
+    rates = np.array([config.rate(step) for step in range(4001)])
     assert rates[0] == pytest.approx(0.01)
-    assert rates[99:1501] == [1.0] * 1402
-    assert (np.diff(rates[1500:]) < 0.0).all()
-    assert rates[2000] == 0.0
+    assert (rates[99:500] == 1.0).all()
+    assert rates[1999] == pytest.approx(0.5)
+    assert (np.diff(rates[499:]) < 0.0).all()
+    assert rates[4000] == 0.0
 
 
 def test_a_longer_training_begins_as_a_shorter():
     short, long = PriorConfig(steps=2000), PriorConfig(steps=6000)
-    assert [short.rate(step) for step in range(1500)] == [long.rate(step) for step in range(1500)]
+    assert [short.rate(step) for step in range(1501)] == [long.rate(step) for step in range(1501)]
 
 
 def test_a_short_training_rises_for_a_tenth_of_it():

@@ -23,6 +23,7 @@ QUESTIONS = {
     ),
     "pose": ("studies.pose.STUDY", "How well is a camera found from mask and cloud alone?"),
     "moves": ("studies.moves.STUDY", "What does moving a cloud as one bring?"),
+    "prior": ("studies.priors.STUDY", "What does a learned prior learn from, and for how long?"),
     "network": ("studies.network.STUDY", "How good is the base network on unseen shapes?"),
     "tso": (
         "studies.variants.STUDY",

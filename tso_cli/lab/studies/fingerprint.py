@@ -11,6 +11,7 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
+import torch
 
 from ...evaluation.metrics import chamfer
 from ...geometry.rotations import angle_between, from_vectors
@@ -20,6 +21,7 @@ from ...io.shipped import default_checkpoint, examples_folder
 from ...losses.silhouette import silhouette_of
 from ...optimisation.presets import Mode, Preset
 from ...pose.fit import fit_camera
+from ...prior.file import read_prior, shipped_prior
 from ...refinement import PRESETS, RefineConfig, RefineResult, refine
 from ...render import RenderSettings
 from ...scene.load import load_points_scene
@@ -102,6 +104,21 @@ def _training() -> Numbers:
     }
 
 
+def _prior_training() -> Numbers:
+    """The parts of the loss of the shipped prior on a batch of the shipped meshes."""
+    from ...train.prior.bank import build_bank
+    from ...train.prior.loss import PARTS, loss
+    from ...train.prior.shapes import read_shapes
+    from ...train.prior.starts import draw
+
+    bank = build_bank(read_shapes(examples_folder() / "meshes"), 8, 0)
+    weights, _ = read_prior(shipped_prior())
+    tensors = {name: torch.tensor(np.float32(array)) for name, array in weights.items()}
+    batch = draw(bank, np.random.default_rng(0), 16)
+    parts = loss(tensors, batch, torch.Generator().manual_seed(0))
+    return dict(zip(PARTS, parts.tolist(), strict=True))
+
+
 def _pictures() -> Numbers:
     """A shipped mesh as the studies render theirs."""
     mesh = CHAIR.parent / "meshes" / "chair" / "q17_Chair.ply"
@@ -115,6 +132,7 @@ PARTS: dict[str, Callable[[], Numbers]] = {
     **{f"points, {preset}": partial(_points, preset) for preset in PRESETS},
     **{f"network modes, {preset}": partial(_network_modes, preset) for preset in PRESETS},
     **{"camera fit": _camera_fit, "training": _training, "pictures": _pictures},
+    "training of a prior": _prior_training,
 }
 
 

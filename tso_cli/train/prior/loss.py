@@ -40,7 +40,7 @@ COMPARED = 128
 FLOOR = 0.5e-3
 # No start counts for more than this many times its own error.
 MOST = 6.0
-# A start whose points are known at the truth is held to them by this share of its loss. Between two
+# A right start is held to its own points, where they belong, by this share of its loss. Between two
 # samplings of a shape the Chamfer distance hides small steps.
 OF_COUNTERPARTS, SMALLEST_SQUARE = 0.7, 1e-4
 # Shares of the loss of all but the error that is left.
@@ -124,7 +124,8 @@ def loss(
     off = apart.sum(-1) / known.sum(1).clamp_min(1)[:, None] / of_step[:, None]
     left = came.left.clamp_max(MOST)
     held = (1.0 - OF_COUNTERPARTS) * left + OF_COUNTERPARTS * off.clamp_max(MOST)
-    moved = torch.where(known.any(1)[:, None], held, left)
+    right = batch.troubles[:, 0, TROUBLES.index("shape")] == 0.0
+    moved = torch.where(right[:, None], held, left)
     foreign = moves.square().sum(-1) * batch.foreign_points[:, None]
     foreign = foreign.sum(-1) / batch.foreign_points.sum(1).clamp_min(1.0)[:, None]
     moved = moved + OF_FOREIGN_POINTS * (foreign / FLOOR).clamp_max(MOST)
