@@ -132,15 +132,41 @@ def test_views_at_right_angles_say_each_what_it_sees():
 
 
 def test_a_surface_before_a_point_is_seen_at_its_node():
-    """The last two features of a node: how far the depth map lies behind it, and whether it is."""
+    """How far the depth map lies behind it, and whether there is one."""
     cloud, sight = discs(1)
     given = features(NUMPY, cloud, 128, sight)
-    behind, measured = given.nodes[0, :, -2], given.nodes[0, :, -1]
+    behind, measured = given.nodes[0, :, 16], given.nodes[0, :, 17]
     right = given.places[0, :, 0] > 0.1
     np.testing.assert_allclose(measured[right], 1.0)
     expected = 5.0 * np.clip(0.1 - cloud[0, :128, 2], -FAR_DEPTH, FAR_DEPTH)
     np.testing.assert_allclose(behind[right], expected[right], atol=1e-9)
     assert not behind[given.places[0, :, 0] < -0.1].any()
+
+
+def test_a_node_says_how_far_it_lies_behind_the_front_of_the_cloud():
+    """Of two walls, the nearer one is the front."""
+    x, y = np.random.default_rng(0).uniform(-0.4, 0.4, (2, 512))
+    z = np.where(np.arange(512) % 2, 0.1, -0.1)
+    given = features(NUMPY, np.stack([x, y, z], -1)[None], 128, discs(1)[1])
+    np.testing.assert_allclose(given.nodes[0, ::2, 18], 0.0, atol=1e-9)
+    assert np.median(given.nodes[0, 1::2, 18]) == pytest.approx(5.0 * 0.2)
+
+
+def test_the_surface_of_a_depth_map_pulls_the_nodes_before_it():
+    """A wall at z = .1 pulls a wall at z = .05 by .05 along z; the pull is 12 of it."""
+    x, y = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 512))
+    sight = replace(discs(1)[1], closeness=np.zeros(1))
+    cloud = np.stack([x, y, np.full(512, 0.05)], -1)[None]
+    given = features(NUMPY, cloud, 128, sight)
+    pull, count = given.nodes[0, :, 19:22], given.nodes[0, :, 23]
+    pulled = count > 0.3
+    assert pulled.sum() > 30
+    assert (given.places[0, pulled, 0] > -0.25).all()
+    share = np.expm1(count) / 0.5
+    expected = 12.0 * 0.05 * share / (share + 0.3)
+    np.testing.assert_allclose(pull[pulled, 2], expected[pulled], atol=1e-9)
+    without = features(NUMPY, cloud, 128, replace(sight, measured=0.0 * sight.measured))
+    assert not without.nodes[0, :, 19:].any()
 
 
 @pytest.mark.parametrize("name", ["dilated", "sampled", "convolved", "nearest", "sums", "largest"])

@@ -40,10 +40,11 @@ NEAREST = 1e-3
 # Where a cell has no point.
 NO_DEPTH = -9.0
 # Numbers of a view, of a node, and of the lattice: the sizes of the network's input.
-MAPS, OF_NODE, OF_LATTICE = 11, 18, 8
+MAPS, OF_NODE, OF_LATTICE = 11, 24, 8
 OF_VIEW = 12 + OF_LATTICE * LATTICE**3
 # Depths that are further from the cloud's front than this are as far.
 FAR_DEPTH = 0.3
+EVERY = 2  # every second cell of a depth map pulls
 # The size of an object in pixels that counts as 0.
 USUAL_SIZE = 64.0
 
@@ -105,7 +106,8 @@ def features(backend: Backend, points: Any, nodes: int, sight: Sight) -> Feature
     compared = xp.stack([distance, shown.mismatch, shown.rough], axis=1)
     here = backend.sampled(compared, seen / HALF)
     slope = _slope(backend, distance, seen)
-    mean, length, count, share = _pull(backend, points, w, nodes, cells, counted)
+    owner = backend.nearest(points, points[:, :nodes])
+    mean, length, count, share = _pull(backend, w, owner, nodes, cells, counted)
     within = (y - middle[:, None]) / (extent[:, None] / 2.0 + 1e-3)
     ahead = sight.measured * shown.closed * (sight.depth - shown.front)
     surface = xp.stack([sight.depth * sight.measured, sight.measured], axis=1)
@@ -113,8 +115,12 @@ def features(backend: Backend, points: Any, nodes: int, sight: Sight) -> Feature
     measured = surface[..., 1:]
     behind = surface[..., :1] / measured.clip(0.25, np.inf) - y[..., 2:]
     behind = behind.clip(-FAR_DEPTH, FAR_DEPTH) * measured
+    cell, _ = _cells(xp, seen)
+    front = backend.rows(shown.front.reshape(len(points), -1, 1), backend.whole(cell))
+    front = (y[..., 2:] - front).clip(-FAR_DEPTH, FAR_DEPTH)
     of_nodes = [y * 2.0, within, here * 5.0, slope, mean, length, count, share]
-    of_nodes += [behind * 5.0, measured]
+    of_nodes += [behind * 5.0, measured, front * 5.0]
+    of_nodes.append(_pull_of_surface(backend, points, owner, nodes, sight))
 
     basis = bernstein(backend, ((within + 1.0) / 2.0).clip(-0.2, 1.2))
     beyond = here[..., :1].clip(0.0, 0.2)
@@ -190,12 +196,18 @@ def _maps(backend: Backend, points: Any, w: Any, distance: Any, known: Any) -> _
     return _Maps(inside, closed, mismatch, _rough_distance(backend, closed), front, back)
 
 
+def _cells(xp: Any, w: Any) -> tuple[Any, Any]:
+    """The number of the cell at ``w`` [B, N, 2], or of the nearest one; and whether it is there."""
+    cell = xp.floor((w + HALF) / CELL)
+    within = ((cell >= 0) & (cell < GRID)).all(-1)
+    nearest = cell.clip(0, GRID - 1)
+    return nearest[..., 1] * GRID + nearest[..., 0], within
+
+
 def _depths(backend: Backend, points: Any, w: Any) -> tuple[Any, Any, Any]:
     """[B, GRID, GRID] each: nearest and farthest depth, and 1 in the cells that points cover."""
     xp = backend.xp
-    cell = xp.floor((w + HALF) / CELL)
-    within = ((cell >= 0) & (cell < GRID)).all(-1)
-    index = cell[..., 1] * GRID + cell[..., 0]
+    index, within = _cells(xp, w)
     # What is seen beyond the maps falls into a cell of its own.
     index = backend.whole(xp.where(within, index, xp.full_like(index, GRID * GRID)))
 
@@ -244,7 +256,7 @@ def _slope(backend: Backend, distance: Any, places: Any) -> Any:
 
 
 def _pull(
-    backend: Backend, points: Any, w: Any, nodes: int, cells: Any, counted: Any
+    backend: Backend, w: Any, owner: Any, nodes: int, cells: Any, counted: Any
 ) -> tuple[Any, Any, Any, Any]:
     """How the foreground pulls the points that each node owns.
 
@@ -256,7 +268,6 @@ def _pull(
     pull (1), and the share of all cells that pull (1).
     """
     xp = backend.xp
-    owner = backend.nearest(points, points[:, :nodes])
     point = backend.nearest(cells, w)
     offset = cells - backend.rows(w, point)
     length = xp.sqrt((offset**2).sum(-1, keepdims=True) + 1e-12)
@@ -270,6 +281,34 @@ def _pull(
     count = xp.log1p(0.5 * summed[..., 3:])
     share = 3.0 * weight.sum(1, keepdims=True) / number
     return mean[..., :2], mean[..., 2:], count, share + 0.0 * count
+
+
+def _pull_of_surface(backend: Backend, points: Any, owner: Any, nodes: int, sight: Sight) -> Any:
+    """[B, N, 5]: how the surface that a depth map shows pulls the points that each node owns.
+
+    As `_pull`, in space: every second cell of the map pulls the point that is nearest to it.
+    """
+    xp, every = backend.xp, GRID // EVERY
+    if not sight.measured.any():
+        return 0.0 * points[:, :nodes, :1] + backend.constant(np.zeros(5), points)
+    depth, measured = (
+        maps[:, ::EVERY, ::EVERY].reshape(len(points), every * every, 1)
+        for maps in (sight.depth, sight.measured)
+    )
+    centres = (np.arange(0, GRID, EVERY) + 0.5) * CELL - HALF
+    across, down = np.meshgrid(centres, centres)
+    w = backend.constant(np.stack([across, down], -1).reshape(1, -1, 2), depth)
+    ahead = 1.0 + sight.closeness[:, None, None] * depth
+    surface = xp.concatenate([w * ahead, depth], axis=-1)
+    point = backend.nearest(surface, points)
+    offset = surface - backend.rows(points, point)
+    length = xp.sqrt((offset**2).sum(-1, keepdims=True) + 1e-12)
+    weight = measured * (FAR_DEPTH / length).clip(0.0, 1.0)
+    of_cells = xp.concatenate([offset * weight, length * weight, weight], axis=-1)
+    node = backend.rows(owner[..., None], point)[..., 0]
+    summed = backend.sums(node, of_cells, nodes)
+    mean = 12.0 * summed[..., :4] / (summed[..., 4:] + 0.3)
+    return xp.concatenate([mean, xp.log1p(0.5 * summed[..., 4:])], axis=-1)
 
 
 def _indicator(xp: Any, condition: Any, like: Any) -> Any:

@@ -27,6 +27,9 @@ def batch_of(start, target, counterpart=None, radius=0.4):
     distance = (torch.hypot(x, y) - radius).expand(count, 2, -1, -1).clone()
     unknown = torch.full_like(start, torch.nan)
     zero, one = torch.zeros(count, 2).double(), torch.ones(count, 2).double()
+    troubles = torch.zeros(count, 2, len(TROUBLES)).double()
+    # Without counterparts it is another shape.
+    troubles[..., TROUBLES.index("shape")] = float(counterpart is None)
     return Batch(
         start,
         target,
@@ -43,7 +46,7 @@ def batch_of(start, target, counterpart=None, radius=0.4):
         depth=torch.full_like(distance, torch.nan),
         metric=zero,
         size=100.0 * one,
-        troubles=torch.zeros(count, 2, len(TROUBLES)).double(),
+        troubles=troubles,
     )
 
 
