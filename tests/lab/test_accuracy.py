@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from tso_cli.errors import InputError
 from tso_cli.io.shipped import examples_folder
+from tso_cli.lab.harm.scenes import gallery
 from tso_cli.lab.studies import accuracy
 from tso_cli.lab.studies.accuracy import conclude
 from tso_cli.lab.studies.refining import ABLATION, COMBINED, POINTS, with_prior
@@ -17,6 +19,20 @@ from tso_cli.prior.file import write_prior
 from tso_cli.prior.network import initial
 from tso_cli.refinement import refine
 from tso_cli.scene.load import load_points_scene
+
+
+def test_a_case_of_a_kind_in_no_list_starts_as_the_warped_truth(tmp_path):
+    name = "qreal_Cop.ply"
+    shutil.copy(examples_folder() / "meshes" / "car" / name, tmp_path / name)
+    (tmp_path / "index.csv").write_text(f"file,category\n{name},police car\n")
+    scenes = gallery(None, None, "", tmp_path, 0)
+    (case,) = accuracy.refine_unseen(scenes, range(1), 3, {"best": POINTS["best"]})
+    assert (case["kind"], case["category"], case["view"]) == ("unseen", "other kinds", 3)
+    assert case["shape"] == f"police car/{tmp_path.name}/qreal_Cop"
+    before = case["before"]
+    assert before["floor"] < 0.3 * before["chamfer"]
+    assert case["bound"] < before["chamfer"]
+    assert len(accuracy.unseen_case(scenes, 0, 3).views) == 4
 
 
 @pytest.mark.slow

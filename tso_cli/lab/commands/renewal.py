@@ -49,7 +49,7 @@ KEPT = (
     Kept("determined", "tso lab determined --meshes DIR --limit 10"),
     Kept(
         "accuracy-ablation",
-        "tso lab accuracy --meshes DIR --part validation --views 1 --ablation",
+        "tso lab accuracy --meshes DIR --views 1 --unseen DIR --ablation",
     ),
     Kept("evidence", "tso lab evidence --meshes DIR --views 1"),
     Kept("harm", "tso lab harm --meshes DIR --unseen DIR --per 9 --variants"),
@@ -57,7 +57,11 @@ KEPT = (
     Kept("affinity", "tso lab affinity --meshes DIR"),
     Kept("lambda", "tso lab lambda --meshes DIR"),
     Kept("tso", "tso lab tso --meshes DIR"),
-    Kept("accuracy", "tso lab accuracy --meshes DIR --views 1 --pictures accuracy.pictures.png"),
+    Kept(
+        "accuracy",
+        "tso lab accuracy --meshes DIR --views 1 --unseen DIR --pictures accuracy.pictures.png",
+    ),
+    Kept("prior", "tso lab prior --meshes DIR --unseen DIR"),
     *(
         Kept(
             name,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -16,11 +16,12 @@ from ...geometry.points import Array
 from ...io.shipped import default_checkpoint
 from .. import options
 from ..charts import Panel, draw_ratios, pictures_at
+from ..harm.scenes import STARTS, Gallery, gallery
 from ..options import Option
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from .accuracy_claims import claims
 from .bounds import across_the_view
-from .cases import KINDS, Case, CaseBuilder, kinds_of
+from .cases import KINDS, MASKS, Case, CaseBuilder, farthest_point_subset, kinds_of
 from .refining import (
     ABLATION,
     DEFAULT,
@@ -43,6 +44,8 @@ from .summary import (
 )
 
 CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
+UNSEEN, UNSEEN_CATEGORY = "unseen", "other kinds"
+"""Kind and category of the cases of shapes in no list."""
 SIZE, COUNT = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
 CASES_A_CALL = 32
@@ -66,13 +69,15 @@ def plan(
     split: Path | None,
     pictures: Path | None,
     prior: Path,
+    unseen: Path | None = None,
     kinds: tuple[str, ...] = (),
     points: Mapping[str, Variant] = POINTS,
     **settings: Any,
 ) -> Plan:
     """Refine every case of every kind with every variant, and compare it with the truth.
 
-    ``prior`` is "learned", "none" or a file, for the variants of the default preset in points mode.
+    ``unseen`` : a folder of meshes whose cases are a kind of their own. ``prior`` is "learned",
+    "none" or a file, for the variants of the default preset in points mode.
     """
     ablation, categories = settings["ablation"], settings["categories"]
     kinds = kinds or tuple(kind for kind in KINDS if kind != "right" or not ablation)
@@ -98,10 +103,42 @@ def plan(
         members = [shape for shape in shapes if shape.category == category]
         for kind, start in product(kinds_of(category, kinds), range(0, len(members), at_once)):
             group = members[start : start + at_once]
-            shared = {"kind": kind, "shape": group[0].name}
+            shared: Record = {"kind": kind, "shape": group[0].name}
             jobs.append((shared, partial(refine_group, kind, group)))
+    for view in range(views) if unseen else ():
+        scenes = gallery(None, None, "", unseen, seed + view)
+        for start in range(0, len(scenes.shapes), CASES_A_CALL):
+            numbers = range(start, min(start + CASES_A_CALL, len(scenes.shapes)))
+            shared = {"kind": UNSEEN, "shape": scenes.shape(start).name, "view": view}
+            jobs.append((shared, partial(refine_unseen, scenes, numbers, view, variants)))
     extremes = partial(_extremes, builder=builder, shapes=shapes, variant=variants[DEFAULT])
     return Plan(settings, jobs, finish=pictures_at(pictures, progress.overwrite, extremes))
+
+
+def refine_unseen(
+    scenes: Gallery, numbers: Sequence[int], view: int, variants: Mapping[str, Variant]
+) -> Cases:
+    """As `refine_cases`, of shapes of kinds in no list; each starts as the warped truth."""
+    return refine_cases([unseen_case(scenes, number, view) for number in numbers], variants)
+
+
+def unseen_case(scenes: Gallery, number: int, view: int) -> Case:
+    """The case of a shape of the gallery, with all its masks."""
+    exact, other = (scenes.scene(number, start, MASKS) for start in STARTS)
+    target = farthest_point_subset(other.dense, COUNT)
+    floor = chamfer(exact.initial, target).chamfer
+    return Case(
+        UNSEEN,
+        UNSEEN_CATEGORY,
+        scenes.shape(number).name,
+        view,
+        "the truth, warped",
+        other.initial,
+        target,
+        other.dense,
+        other.views,
+        floor,
+    )
 
 
 def refine_cases(cases: list[Case], variants: Mapping[str, Variant]) -> Cases:
@@ -239,7 +276,8 @@ STUDY = Study(
     about="Kinds of start: another shape's cloud, about as wrong as a trained network's (other); "
     "the same, where clouds and cameras are turned together at random (turned); another shape's "
     "close to the truth (near); the first with an object that the border truncates (cut); the "
-    "truth sampled again (right); the network's prediction (network).",
+    "truth sampled again (right); the network's prediction (network); with --unseen the warped "
+    "truth of shapes of kinds in no list (unseen).",
     parts=("pictures", "points, paper", "points, best", "network modes, paper"),
     tables=tables,
     draw=draw,
@@ -255,6 +293,7 @@ STUDY = Study(
         options.categories(*CATEGORIES),
         options.views(2),
         options.PRIOR,
+        options.UNSEEN,
         Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
         options.pictures("the worst and the median case of each category"),
     ),

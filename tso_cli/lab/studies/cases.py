@@ -115,14 +115,17 @@ class CaseBuilder:
         rng = self._rng(shape, "truth")
         dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
         resampled = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
-        target, initial = _subset(dense, self.points), _subset(resampled, self.points)
+        target, initial = (
+            farthest_point_subset(dense, self.points),
+            farthest_point_subset(resampled, self.points),
+        )
         floor = chamfer(initial, target).chamfer
         # The cases of kind "turned" are those of "other", so that both can be compared one by one.
         scene, rng = RayScene(mesh), self._rng(shape, "other" if kind == "turned" else kind)
         start = {"right": "the truth", "network": "prediction"}.get(kind, "")
         if not start:
             level = LEVELS[kind].get(shape.category, 0.0)
-            start, initial = self._start(shape, _subset(dense, COMPARED), level)
+            start, initial = self._start(shape, farthest_point_subset(dense, COMPARED), level)
         names = (kind, shape.category, shape.name)
 
         def case(number: int, *views: View) -> Case:
@@ -151,7 +154,7 @@ class CaseBuilder:
             for training in shapes_of_part(self.folder, self.split_file, "train", [shape.category]):
                 mesh, rng = training.mesh(), self._rng(training, "truth")
                 samples = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
-                starts.append((training, samples, _subset(samples, COMPARED)))
+                starts.append((training, samples, farthest_point_subset(samples, COMPARED)))
         own_type = shape_type(shape.path.stem)
         candidates = [
             start
@@ -164,7 +167,7 @@ class CaseBuilder:
         nearest, samples, _ = min(
             candidates, key=lambda start: abs(chamfer(start[2], target).chamfer - level)
         )
-        return nearest.name, _subset(samples, self.points)
+        return nearest.name, farthest_point_subset(samples, self.points)
 
     def _view(
         self, shape: Shape, number: int, scene: RayScene, truncated: bool, rng: np.random.Generator
@@ -216,6 +219,6 @@ def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:
     return [kind for kind in kinds if kind not in limited or category in limited[kind]]
 
 
-def _subset(samples: Array, count: int) -> Array:
+def farthest_point_subset(samples: Array, count: int) -> Array:
     """``count`` of ``samples`` [S, 3], spread evenly."""
     return samples if count == len(samples) else samples[farthest_point_sample(samples, count)]
