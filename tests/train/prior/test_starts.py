@@ -238,3 +238,12 @@ def test_a_batch_is_drawn_quickly(bank):
         draw(bank, np.random.default_rng(seed), 64)
     # It takes 30 ms on one thread; a loaded machine is slower.
     assert time.perf_counter() - begin < 5 * 0.3
+
+
+@pytest.mark.slow
+def test_the_number_of_processes_does_not_change_the_scenes(shapes):
+    alone, shared = (build_bank(shapes, 30, 0, processes=count) for count in (1, 2))
+    for name in ("truths", "rotation", "distance", "foreign", "depth", "size"):
+        torch.testing.assert_close(
+            getattr(alone, name), getattr(shared, name), rtol=0.0, atol=0.0, equal_nan=True
+        )

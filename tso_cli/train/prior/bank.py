@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import pickle
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from multiprocessing import get_context
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,13 +17,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...geometry.arrays import Indices
+from ...workers.pool import WorkerPool
 from .masks import SCENE_GRID
 from .neighbours import Neighbours, find_neighbours
 from .predictions import Predictions
 from .scenes import CHANCES, Chances, Scene, SceneView, numbered_scene
 from .shapes import Progress, ShapeSet
 
-Draw = Callable[[range], list[Scene]]
+Draw = Callable[[ShapeSet, range], list[Scene]]
 # Scenes that a process draws at once.
 CHUNK = 25
 
@@ -86,8 +88,7 @@ def build_bank(
     ``predict`` predicts some of the scenes. A scene takes about 40 ms of a process. Raises
     InputError if the shapes cannot be seen in any mask.
     """
-    draw = partial(_chunk, shapes, seed, chances)
-    drawn = _drawn(draw, scenes, processes, progress)
+    drawn = _drawn(shapes, scenes, seed, chances, processes, progress)
     predictions = predict(drawn) if predict else Predictions.none(scenes)
 
     def stacked(rows: Sequence[object]) -> Tensor:
@@ -119,12 +120,19 @@ def build_bank(
     )
 
 
-def _drawn(draw: Draw, count: int, processes: int, progress: Progress | None) -> list[Scene]:
+def _drawn(
+    shapes: ShapeSet,
+    count: int,
+    seed: int,
+    chances: Chances,
+    processes: int,
+    progress: Progress | None,
+) -> list[Scene]:
     """``count`` scenes; the number of ``processes`` does not change them."""
     firsts = range(0, count, CHUNK)
     chunks = [range(first, min(first + CHUNK, count)) for first in firsts]
     scenes: list[Scene] = []
-    with _mapped(draw, chunks, processes) as results:
+    with _mapped(shapes, partial(_chunk, seed, chances), chunks, processes) as results:
         for chunk in results:
             scenes += chunk
             if progress:
@@ -132,33 +140,35 @@ def _drawn(draw: Draw, count: int, processes: int, progress: Progress | None) ->
     return scenes
 
 
-def _chunk(shapes: ShapeSet, seed: int, chances: Chances, numbers: range) -> list[Scene]:
+def _chunk(seed: int, chances: Chances, shapes: ShapeSet, numbers: range) -> list[Scene]:
     of_shapes = shapes.chances()
     return [numbered_scene(shapes, of_shapes, seed, number, chances) for number in numbers]
 
 
-_DRAW: list[Draw] = []
-"""In a process that draws: what it draws with, so that shapes are sent once."""
-
-
-def _begin(draw: Draw) -> None:
-    _DRAW.append(draw)
-    torch.set_num_threads(1)
-
-
-def _of_process(numbers: range) -> list[Scene]:
-    return _DRAW[0](numbers)
-
-
 @contextmanager
-def _mapped(draw: Draw, chunks: list[range], processes: int) -> Iterator[Iterator[list[Scene]]]:
+def _mapped(
+    shapes: ShapeSet, draw: Draw, chunks: list[range], processes: int
+) -> Iterator[Iterator[list[Scene]]]:
     if processes <= 1:
-        yield map(draw, chunks)
+        yield map(partial(draw, shapes), chunks)
         return
-    pool = ProcessPoolExecutor(
-        processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(draw,)
-    )
-    try:
-        yield pool.map(_of_process, chunks)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    with tempfile.TemporaryDirectory() as folder:
+        # Each process reads the shapes once.
+        path = Path(folder) / "shapes"
+        path.write_bytes(pickle.dumps(shapes))
+        pool = WorkerPool(processes)
+        try:
+            yield pool.map(partial(_of_process, draw, path), chunks)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _of_process(draw: Draw, path: Path, numbers: range) -> list[Scene]:
+    torch.set_num_threads(1)
+    return draw(_shapes_of(path), numbers)
+
+
+@lru_cache(maxsize=1)
+def _shapes_of(path: Path) -> ShapeSet:
+    shapes: ShapeSet = pickle.loads(path.read_bytes())
+    return shapes
