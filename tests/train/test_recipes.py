@@ -67,12 +67,14 @@ def test_a_recipe_trains_a_prior_on_shapes_by_rule_alone_and_the_same_bytes_agai
     assert about["settings"]["recipe"].startswith("recipe.toml ")
 
 
-def test_another_recipe_does_not_resume_a_training(tso, recipe):
+def test_a_recipe_with_the_same_settings_resumes_a_training_and_another_does_not(tso, recipe):
     pytest.importorskip("open3d")
     assert tso("train", "--config", recipe(PRIOR), "-o", "a.safetensors").code == 0
-    other = recipe(PRIOR + "# changed\n", "other.toml")
-    refused = tso("train", "--config", other, "--resume", "-o", "a.safetensors").refusal
-    assert "was trained with recipe 'recipe.toml" in refused
+    resumed = "--resume", "-o", "a.safetensors"
+    assert tso("train", "--config", recipe(PRIOR + "# as it was\n"), *resumed).code == 0
+    other = recipe(PRIOR + "marred = 0.5\n", "other.toml")
+    refused = tso("train", "--config", other, *resumed).refusal
+    assert "was trained with --marred 0.4, this run asks for 0.5" in refused
 
 
 @pytest.mark.parametrize(

@@ -123,8 +123,8 @@ def test_a_prior_says_from_which_prior_its_training_began_also_after_a_resumed_r
 
 def test_other_settings_or_other_meshes_are_not_resumed(train, folder):
     assert train(folder).code == 0
-    refused = train(folder, "--resume", "--steps", 5).refusal
-    assert "was trained with --steps 2, this run asks for 5" in refused
+    refused = train(folder, "--resume", "--batch-size", 5).refusal
+    assert "was trained with --batch-size 2, this run asks for 5" in refused
     refused = train(folder, "--resume", "--scenes", 5).refusal
     assert "was trained with --scenes 3" in refused
     (folder / "chair" / "q17_Chair.ply").unlink()

@@ -2,6 +2,7 @@
 
 import json
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,6 +109,26 @@ def test_a_resumed_training_gives_the_same_bits(bank, finished, tmp_path):
     assert state_path(path).read_bytes() == state_path(straight_path).read_bytes()
 
 
+def test_a_training_is_made_longer_before_its_rate_is_cooled(bank, tmp_path):
+    """Then it gives the bits of the longer training; after that it cannot be made longer."""
+    path, state = tmp_path / "other.safetensors", begin()
+    shorter, longer = replace(CONFIG, steps=12), replace(CONFIG, steps=16)
+
+    def stop(done, total, note):
+        if done == 9:
+            signal.raise_signal(signal.SIGINT)
+
+    run(bank, state, shorter, progress=stop, save=lambda state: save(path, state, shorter))
+    straight = begin()
+    run(bank, straight, longer)
+    resumed = load(path, longer)
+    run(bank, resumed, longer)
+    same_state(resumed, straight)
+    run(bank, load(path, shorter), shorter, save=lambda state: save(path, state, shorter))
+    with pytest.raises(InputError, match="was trained with `steps` 12, this run asks for 16"):
+        load(path, longer)
+
+
 def test_the_number_of_workers_does_not_change_a_bit(bank, finished):
     both = begin()
     run(bank, both, workers=2)
@@ -146,7 +167,7 @@ def test_the_state_is_saved_on_the_way(bank):
     assert steps == [2, 4]
 
 
-@pytest.mark.parametrize("name", ["steps", "batch_size", "scenes", "seed"])
+@pytest.mark.parametrize("name", ["batch_size", "scenes", "seed"])
 def test_a_state_of_other_settings_is_refused(finished, name):
     other = PriorConfig(**{**CONFIG.settings(), name: 7})
     with pytest.raises(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -117,17 +117,26 @@ def check_resumable(path: Path, config: PriorConfig) -> dict[str, Any]:
     step, settings = about.get("step"), about.get("settings")
     if not isinstance(step, int) or isinstance(step, bool) or step < 0:
         raise InputError(f"{file}: step in the state is {shown(step)}, expected a whole number")
+    # With all settings the same, the name of the recipe is that of this run.
     of_this_run: dict[str, Any] = dict.fromkeys(OF_PREDICTIONS) | config.settings()
+    of_this_run.pop("recipe", None)
     for name, value in of_this_run.items():
         before = settings.get(name) if isinstance(settings, dict) else None
-        if before != value:
-            # All other settings are options.
-            what = name if name == "recipe" else f"`{name}`"
-            raise InputError(
-                f"{file}: was trained with {what} {shown(before)}, this run asks for {value}; "
-                "expected the same settings to resume"
-            )
+        if before == value or (name == "steps" and _begins_alike(config, before, step)):
+            continue
+        raise InputError(
+            f"{file}: was trained with `{name}` {shown(before)}, this run asks for {value}; "
+            "expected the same settings to resume"
+        )
     return about
+
+
+def _begins_alike(config: PriorConfig, steps: Any, done: int) -> bool:
+    """Whether a training of ``steps`` steps has done what this one does in its first ``done``."""
+    if not isinstance(steps, int) or steps < 1:
+        return False
+    other = replace(config, steps=steps)
+    return all(config.rate(step) == other.rate(step) for step in range(done))
 
 
 def load_training(
