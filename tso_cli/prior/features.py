@@ -272,13 +272,10 @@ def _pull(
     offset = cells - backend.rows(w, point)
     length = xp.sqrt((offset**2).sum(-1, keepdims=True) + 1e-12)
     weight = counted[..., None] * (length - COVERED).clip(0.0, np.inf) / length
-    of_cells = xp.concatenate([offset * weight, length * weight, weight], axis=-1)
-    node = backend.rows(owner[..., None], point)[..., 0]
-    summed = backend.sums(node, of_cells, nodes)
     number = counted.sum(1)[:, None, None] + 1.0
-    summed = summed * (CELLS / number)
-    mean = 12.0 * summed[..., :3] / (summed[..., 3:] + 0.3)
-    count = xp.log1p(0.5 * summed[..., 3:])
+    pulls = xp.concatenate([offset, length], axis=-1)
+    node = backend.rows(owner[..., None], point)[..., 0]
+    mean, count = _of_nodes(backend, pulls, weight, node, nodes, CELLS / number)
     share = 3.0 * weight.sum(1, keepdims=True) / number
     return mean[..., :2], mean[..., 2:], count, share + 0.0 * count
 
@@ -304,11 +301,24 @@ def _pull_of_surface(backend: Backend, points: Any, owner: Any, nodes: int, sigh
     offset = surface - backend.rows(points, point)
     length = xp.sqrt((offset**2).sum(-1, keepdims=True) + 1e-12)
     weight = measured * (FAR_DEPTH / length).clip(0.0, 1.0)
-    of_cells = xp.concatenate([offset * weight, length * weight, weight], axis=-1)
+    pulls = xp.concatenate([offset, length], axis=-1)
     node = backend.rows(owner[..., None], point)[..., 0]
-    summed = backend.sums(node, of_cells, nodes)
-    mean = 12.0 * summed[..., :4] / (summed[..., 4:] + 0.3)
-    return xp.concatenate([mean, xp.log1p(0.5 * summed[..., 4:])], axis=-1)
+    return xp.concatenate(_of_nodes(backend, pulls, weight, node, nodes, 1.0), axis=-1)
+
+
+def _of_nodes(
+    backend: Backend, pulls: Any, weight: Any, node: Any, nodes: int, scale: Any
+) -> tuple[Any, Any]:
+    """The mean [B, N, D] of the ``pulls`` [B, K, D] at each node, and how many pull [B, N, 1].
+
+    ``node`` [B, K] is that of each pull. ``scale`` multiplies the weights [B, K, 1]. Where little
+    pulls, the mean is small. The number is a logarithm.
+    """
+    xp = backend.xp
+    weighed = xp.concatenate([pulls * weight, weight], axis=-1)
+    summed = backend.sums(node, weighed, nodes) * scale
+    total = summed[..., -1:]
+    return 12.0 * summed[..., :-1] / (total + 0.3), xp.log1p(0.5 * total)
 
 
 def _indicator(xp: Any, condition: Any, like: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -105,23 +105,22 @@ def plan(
     judged = _Judged(meshes, split or SPLIT, unseen)
 
     def trained(training: Training) -> Cases:
-        report = lambda what, done, total: progress.report(  # noqa: E731
-            f"{training.name}: {what}", done, total
-        )
+        def reporting(what: str) -> Callable[[int, int, str], None]:
+            doing = f"{training.name}: {what}"
+            return lambda done, total, note: progress.report(doing, done, total)
+
         shapes = ShapeSet([])
         if training.meshes:
             shapes = judged.read("train")
         if training.by_rule:
             shapes = shapes + ruled_shapes(training.by_rule, seed, training.without)
-        drawing = lambda done, total, note: report("scenes", done, total)  # noqa: E731
-        chances = Chances(training.marred, training.depth_maps)
+        chances, drawing = Chances(training.marred, training.depth_maps), reporting("scenes")
         bank = build_bank(
             shapes, scenes, seed, progress=drawing, processes=cores(), chances=chances
         )
         config = PriorConfig(training.steps, BATCH_SIZE, scenes, precision="bfloat16", seed=seed)
         state = new_state(initial(seed), shapes.fingerprint(), torch.device("cpu"))
-        stepping = lambda done, total, note: report("steps", done, total)  # noqa: E731
-        began = time.process_time()
+        began, stepping = time.process_time(), reporting("steps")
         if train(bank, config, state, progress=stepping, workers=cores()) == "interrupted":
             raise KeyboardInterrupt
         minutes = (time.process_time() - began) / 60.0

@@ -83,9 +83,6 @@ class PriorConfig:
         al., 2022, "Scaling vision transformers"). So a longer training begins as a shorter one.
         """
         rising = max(1, min(RISING_STEPS, self.steps // 10))
-        cooling = COOLING_SHARE * self.steps
-        cooled = max(0.0, 1.0 - (self.steps - step) / cooling)
-        falling = math.sqrt(HIGHEST_STEPS / max(step + 1, HIGHEST_STEPS)) * (
-            1.0 - math.sqrt(cooled)
-        )
-        return min(1.0, (step + 1) / rising) * falling
+        falling = math.sqrt(HIGHEST_STEPS / max(step + 1, HIGHEST_STEPS))
+        cooled = max(0.0, 1.0 - (self.steps - step) / (COOLING_SHARE * self.steps))
+        return min(1.0, (step + 1) / rising) * falling * (1.0 - math.sqrt(cooled))
