@@ -161,6 +161,16 @@ def test_the_mean_of_the_weights_is_saved(finished):
     assert about["training_set"] == "two chairs"
 
 
+def test_a_prior_has_the_learning_curve_of_its_training(finished):
+    path, state = finished
+    curve = read_prior(path)[1]["curve"]
+    assert [step for step, _ in curve] == list(range(1, state.step + 1))
+    left = [parts[0] for parts in state.history]
+    np.testing.assert_allclose([mean for _, mean in curve], left, atol=1e-4)
+    state = replace(state, history=[[step, 0.0, 0.0, 0.0] for step in range(1, 101)])
+    assert state.curve() == [[step, step - 2.0] for step in range(5, 101, 5)]
+
+
 def test_the_state_is_saved_on_the_way(bank):
     steps = []
     run(bank, begin(), save=lambda state: steps.append(state.step), save_every=2)

@@ -25,6 +25,8 @@ from .loss import PARTS
 from .optimiser import Optimiser
 
 FORMAT = "tso-prior-training-2"
+# The learning curve in a prior's metadata has so many places.
+PLACES = 20
 Weights = Mapping[str, NDArray[Any]]
 
 
@@ -59,6 +61,16 @@ class PriorState:
         with torch.no_grad():
             torch._foreach_lerp_(list(self.average.values()), weights, 1.0 - decay)
 
+    def curve(self) -> list[list[float]]:
+        """Up to `PLACES` pairs: a step, and the mean of what was left of the starts up to it.
+
+        Each mean begins where the last one ended.
+        """
+        left = np.array([parts[0] for parts in self.history])
+        ends = np.unique(np.linspace(0, self.step, PLACES + 1).astype(int)).tolist()
+        pairs = zip(ends, ends[1:], strict=False)
+        return [[end, round(float(left[start:end].mean()), 4)] for start, end in pairs]
+
     def averaged(self) -> dict[str, NDArray[Any]]:
         """The weights to be saved: their mean, or the weights before the first step."""
         tensors = self.average or self.weights
@@ -86,6 +98,7 @@ def save_training(
     about = {
         "training_set": training_set,
         "settings": config.settings() | {"steps": state.step},
+        "curve": state.curve(),
         "version": __version__,
     }
     prior = packed_prior(state.averaged(), about)
