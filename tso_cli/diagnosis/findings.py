@@ -45,6 +45,8 @@ ASSUMED_CAMERA = "assumed-camera"
 # What is worth reading before a result is used.
 NOTES = {
     **OF_DEPTH_MAPS,
+    "depth-noisy": "neighbouring depths differ by noise of {deviation:.3g}, so each is averaged "
+    "with those of the same surface around it",
     "foreign-part": "something that is not the object seems to take {share:.0f} % of the mask, so "
     "the mask counts nothing there",
     "outline-corrected": "the mask seems {pixels:.1f} px too {how} on all sides, and is corrected",

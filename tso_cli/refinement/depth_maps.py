@@ -9,21 +9,26 @@ from functools import partial
 from ..cloud.cloud import ControlledCloud
 from ..diagnosis.depth_kinds import along_z, fitted, without_depth
 from ..diagnosis.depth_map import wrong_maps
+from ..diagnosis.depth_noise import without_noise
+from ..diagnosis.findings import Finding
 from ..geometry.arrays import Array
 from ..geometry.depth_kind import FITTED, DepthKind
+from ..geometry.view import View
 from ..optimisation.learned_start import beginning
 from ..optimisation.optimise import weigh
 from ..optimisation.problem import prepare
 from ..optimisation.settings import Settings
 from ..pose.asked import Asked
 from ..pose.move import Move
-from ..prior import named_prior
+from ..prior import LearnedPrior, named_prior
 from .clock import Clock
 from .scene import RefineScene
 
 Find = Callable[[RefineScene], Move]
 # With these moves the cloud may be given anywhere. Where it is given it says nothing of a map.
 ANYWHERE = ("pose", "similarity")
+# How often a map is fitted to where the learned prior moves the cloud.
+FITS = 2
 
 
 def move_with_maps(
@@ -38,6 +43,7 @@ def move_with_maps(
         # Depth maps are refused later.
         move = find(scene)
         return move, scene.after(move)
+    scene = scene.with_views(*without_noise(scene.views))
     return _placed(_tested(scene, points, settings.move, find), find, FITTED)
 
 
@@ -47,23 +53,34 @@ def fit_maps(
     """The scene with all maps along z, after a move.
 
     Maps that are known up to two numbers are fitted to the cloud where the learned prior moves it
-    by the masks. Fitted to the start, which is of another shape, they would pull back to it.
+    by the masks, then where it moves it by masks and maps. Fitted to the start, which is of another
+    shape, they would pull back to it.
     """
     held_back = [view.depth is not None and view.depth_kind in FITTED for view in scene.views]
     if not any(held_back) or not settings.smooth:
         return scene
-    points, prior = cloud.control_points, named_prior(settings.prior)
-    if prior is not None and settings.steps:
-        bare = [
-            without_depth(view) if held else view
-            for view, held in zip(scene.views, held_back, strict=True)
-        ]
-        weighed = weigh(prepare(cloud, bare, replace(settings, symmetry="none")), settings)
-        of_start = weighed.problem, weighed.weights, prior
-        if begun := clock.attempt("move", partial(beginning, *of_start), None):
-            points = cloud.denormalise(begun.points)
-    views, found = fitted(points, scene.views)
-    return scene.with_views(views, found)
+    prior = named_prior(settings.prior)
+    if prior is None or not settings.steps:
+        return scene.with_views(*fitted(cloud.control_points, scene.views))
+    seen = [
+        without_depth(view) if held else view
+        for view, held in zip(scene.views, held_back, strict=True)
+    ]
+    found: list[Finding] = []
+    for _ in range(FITS):
+        points = clock.attempt("move", partial(_begun, cloud, seen, settings, prior), None)
+        if points is None:
+            points = cloud.control_points
+        seen, found = fitted(points, scene.views)
+    return scene.with_views(seen, found)
+
+
+def _begun(
+    cloud: ControlledCloud, views: Sequence[View], settings: Settings, prior: LearnedPrior
+) -> Array:
+    """[N, 3], the control points where the ``prior`` moves them by the ``views``."""
+    weighed = weigh(prepare(cloud, views, replace(settings, symmetry="none")), settings)
+    return cloud.denormalise(beginning(weighed.problem, weighed.weights, prior).points)
 
 
 def _tested(scene: RefineScene, points: Array, asked: Asked, find: Find) -> RefineScene:

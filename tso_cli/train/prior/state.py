@@ -25,7 +25,7 @@ from .loss import PARTS
 from .optimiser import Optimiser
 
 FORMAT = "tso-prior-training-2"
-# The learning curve in a prior's metadata has so many places.
+# Places of the learning curve in a prior's metadata.
 PLACES = 20
 Weights = Mapping[str, NDArray[Any]]
 
