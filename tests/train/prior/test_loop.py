@@ -161,9 +161,11 @@ def test_the_mean_of_the_weights_is_saved(finished):
     assert about["training_set"] == "two chairs"
 
 
-def test_a_prior_has_the_learning_curve_of_its_training(finished):
+def test_a_prior_has_the_learning_curve_of_its_training_and_the_digest_of_its_shapes(finished):
     path, state = finished
-    curve = read_prior(path)[1]["curve"]
+    about = read_prior(path)[1]
+    assert about["shapes"] == state.fingerprint
+    curve = about["curve"]
     assert [step for step, _ in curve] == list(range(1, state.step + 1))
     left = [parts[0] for parts in state.history]
     np.testing.assert_allclose([mean for _, mean in curve], left, atol=1e-4)

@@ -98,6 +98,7 @@ def save_training(
     about = {
         "training_set": training_set,
         "settings": config.settings() | {"steps": state.step},
+        "shapes": state.fingerprint,
         "curve": state.curve(),
         "version": __version__,
     }
