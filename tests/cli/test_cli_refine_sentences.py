@@ -173,8 +173,7 @@ def test_views_of_one_name_are_numbered():
 def test_a_note_names_its_view_and_the_option_that_mends_it(name):
     numbers = dict.fromkeys(("pixels", "side", "behind", "points", "weight", "times", "share"), 3.0)
     numbers |= dict.fromkeys(("distance", "size", "count", "rank", "covered", "relief"), 3.0)
-    numbers |= {"deviation": 0.05}
-    numbers |= dict.fromkeys(("off", "of_ray", "scale", "shift", "places"), 3.0)
+    numbers |= dict.fromkeys(("off", "of_ray", "scale", "shift", "places", "deviation"), 3.0)
     words = dict.fromkeys(("why", "kind", "what", "how"), "a face is degenerate")
     finding = Finding(name, (1,), values={**numbers, **words})
     option = OPTIONS_OF_NOTES.get(name, "")

@@ -7,6 +7,10 @@ import pytest
 
 from tests.scenes import about, depth_of, example
 from tso_cli import InputError, RefineConfig, View, refine
+from tso_cli.diagnosis.depth_kinds import fitted
+from tso_cli.refinement import depth_maps
+from tso_cli.refinement.clock import Clock
+from tso_cli.refinement.scene import as_scene
 
 NAMES = "chair", "car", "airplane"
 SCENES = {name: example(name) for name in NAMES}
@@ -90,6 +94,23 @@ def test_a_map_of_a_known_kind_brings_the_cloud_nearer_than_the_mask(by_mask, na
     result = refine(CHAIR.points, with_map(WRONG[name], kind))
     assert of_maps(result) == [("depth-fitted", (0,))]
     assert CHAIR.error(result.points) < 0.9 * CHAIR.error(by_mask.points)
+
+
+def test_ctrl_c_in_the_second_fit_leaves_the_first(monkeypatch):
+    scene = as_scene(CHAIR.points, with_map(WRONG["depth-affine"], "affine"))
+    settings = RefineConfig().settings()
+    cloud = scene.cloud.controlled(settings.points, scene.views)
+    moved = cloud.control_points + [0.0, 0.0, 0.1]
+
+    def interrupted(cloud, views, *rest):
+        if views[0].depth is not None:
+            raise KeyboardInterrupt
+        return moved
+
+    monkeypatch.setattr(depth_maps, "_begun", interrupted)
+    (found,) = depth_maps.fit_maps(scene, cloud, settings, Clock()).views
+    ((first,), _) = fitted(moved, scene.views)
+    np.testing.assert_array_equal(found.depth, first.depth)
 
 
 def test_distance_along_the_ray_gives_the_result_of_depth():

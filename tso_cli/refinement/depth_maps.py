@@ -66,11 +66,9 @@ def fit_maps(
         without_depth(view) if held else view
         for view, held in zip(scene.views, held_back, strict=True)
     ]
-    found: list[Finding] = []
+    points, found = cloud.control_points, list[Finding]()
     for _ in range(FITS):
-        points = clock.attempt("move", partial(_begun, cloud, seen, settings, prior), None)
-        if points is None:
-            points = cloud.control_points
+        points = clock.attempt("move", partial(_begun, cloud, seen, settings, prior), points)
         seen, found = fitted(points, scene.views)
     return scene.with_views(seen, found)
 
