@@ -335,3 +335,19 @@ def test_nodes_of_a_scene_that_form_a_circle_are_refused(tmp_path):
         "node 0 is its own ancestor, expected a tree of nodes", read,
         write(tmp_path / "c.gltf", scene),
     )  # fmt: skip
+
+
+def test_what_a_reader_does_not_find_is_said_in_one_line(tmp_path):
+    """A file may have the keys of its format and nothing in them."""
+    cases = {
+        "c.npz": ({"R": np.zeros((0, 3, 3)), "T": np.zeros((0, 3)), "focal_length": np.zeros(0)},
+                  r"c\.npz: cannot be read \(.*\), expected R and T"),
+        "a.json": ([{"rot_mat": 1, "trans_mat": 2, "focal_length": 3, "img_size": 4}, "text"],
+                   r"a\.json: entry 0: rot_mat is an array \[\], expected 3x3 numbers"),
+        "b.json": ({"frames": [{"transform_matrix": np.eye(4).tolist()}, "text"]},
+                   r"b\.json: frames\[1\] has another form, expected frames with"),
+        "d.json": ({"frames": [{"transform_matrix": np.eye(4).tolist()}, {}]},
+                   r"d\.json: frames\[1\]\.transform_matrix is missing, expected frames with"),
+    }  # fmt: skip
+    for name, (content, message) in cases.items():
+        assert_refused(message, read, write(tmp_path / name, content))

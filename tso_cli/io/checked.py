@@ -16,13 +16,14 @@ LARGEST = 1e15  # products of larger entries have no correct digits left
 
 
 class Checked:
-    """The values of the file ``path``."""
+    """The values of the file ``path``; ``place`` is where in it they are, such as "frames[3]."."""
 
     path: Path
+    place = ""
 
     def error(self, where: str, found: object, expected: str) -> InputError:
         """The error of a value: what was ``found`` at ``where``, and what was ``expected``."""
-        return InputError(f"{self.path}: {where} is {found}, expected {expected}")
+        return InputError(f"{self.path}: {self.place}{where} is {found}, expected {expected}")
 
     def matrix(self, where: str, values: Any, *shapes: tuple[int, ...]) -> Array:
         """``values`` as an array of one of the ``shapes``; -1 stands for any length.

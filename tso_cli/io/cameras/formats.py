@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
+from ..guard import reading
 from ..reading import is_there
 from .record import PartialCamera
 from .source import COLMAP_FILES, EXPECTED, CameraSource, has_keys
@@ -74,15 +75,14 @@ def read_partial_cameras(
         reader = _named(name)
     else:
         name, reader = _recognised(source)
-    if name == "bop":
-        views = reader.read(source, object_id)
-    elif object_id is not None:
+    if object_id is not None and name != "bop":
         raise InputError(
             f"{path}: is {words_of(name)}, `object` {object_id} chooses an object of "
             f"{FORMATS['bop'][0]}"
         )
-    elif name in FORMATS:
-        views = reader.read(source)
+    if name in FORMATS:
+        with reading(source, reader.NEEDS):
+            views = reader.read(source, object_id) if name == "bop" else reader.read(source)
     else:
         from ..plugins import guarded
 

@@ -11,6 +11,8 @@ from .own import named_file
 from .record import PartialCamera, from_camera_to_world, matrix_of, of_pixels
 from .source import CameraSource, has_keys
 
+NEEDS = "rotation, position, fx, fy, width and height of each camera"
+
 _KEYS = {"rotation", "position", "fx", "fy", "width", "height"}
 
 
@@ -21,13 +23,13 @@ def recognises(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     views = []
-    for where, entry in source.entries(_KEYS, "[{}]"):
-        size = source.pixels(f"{where}.", entry["width"], entry["height"])
-        fx, fy = (source.number(f"{where}.{key}", entry[key]) for key in ("fx", "fy"))
-        rotation = source.matrix(f"{where}.rotation", entry["rotation"], (3, 3))
-        position = source.matrix(f"{where}.position", entry["position"], (3,))
+    for entry in source.each(source.objects, "[{}]."):
+        size = source.pixels("", entry["width"], entry["height"])
+        fx, fy = (source.number(key, entry[key]) for key in ("fx", "fy"))
+        rotation = source.matrix("rotation", entry["rotation"], (3, 3))
+        position = source.matrix("position", entry["position"], (3,))
         R, t = from_camera_to_world(np.c_[rotation, position])
         K = matrix_of(fx, fy, size[0] / 2.0, size[1] / 2.0, corner=True)
         image = named_file(source, entry.get("img_name"))
-        views.append(PartialCamera(where, of_pixels(K, size), R, t, size, image=image))
+        views.append(PartialCamera(source.title, of_pixels(K, size), R, t, size, image=image))
     return views

@@ -8,14 +8,18 @@ object at place G of picture N is called NNNNNN_GGGGGG.png.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from ...errors import InputError
 from ...geometry.arrays import Array
-from ..checked import kind
+from ..guard import reading
 from ..reading import plain
 from .record import PartialCamera, of_pixels
 from .source import CameraSource, has_keys
+
+NEEDS = "cam_K of each picture"
 
 MOST_LISTED = 9  # objects that a message names
 CAMERAS, POSES = "scene_camera.json", "scene_gt.json"
@@ -42,85 +46,66 @@ def read(source: CameraSource, object_id: int | None = None) -> list[PartialCame
             f"{source.path}: holds the poses of objects without K, expected {CAMERAS} or its folder"
         )
     poses_file = source.path.with_name(POSES)
-    poses = CameraSource(poses_file) if poses_file.is_file() else None
-    if poses is None and object_id is not None:
-        raise InputError(f"{poses_file}: does not exist, expected it for `object` {object_id}")
-    if not isinstance(source.json, dict):
-        raise source.error(
-            "the document", kind(source.json), "an object with cam_K of each picture"
-        )
-    chosen = object_id if poses is None or object_id is not None else _only_object(poses)
-    views = []
-    for number, values in source.json.items():
-        where = plain(number)
-        if not isinstance(values, dict) or "cam_K" not in values:
-            raise source.error(where, kind(values), "an object with cam_K")
-        K = source.matrix(f"{where}.cam_K", values["cam_K"], (9,), (3, 3)).reshape(3, 3)
-        padded = f"{int(number):06d}" if number.isdecimal() and len(number) < 10 else number
-        if poses is None:
-            R = t = None
-            if "cam_R_w2c" in values:
-                R, t = _pose(source, where, values, "cam_R_w2c", "cam_t_w2c")
-            views.append(
-                PartialCamera(f"picture {number}", of_pixels(K, None), R, t, names=(padded,))
-            )
-            continue
-        for place, entry in enumerate(_entries(poses, number)):
-            if entry.get("obj_id") != chosen:
-                continue
-            R, t = _pose(poses, where, entry, "cam_R_m2c", "cam_t_m2c")
-            # The mask names picture and place; a picture with one such object names it too.
-            names = (f"{padded}_{place:06d}", padded)
-            views.append(PartialCamera(f"picture {number}", of_pixels(K, None), R, t, names=names))
-    if not views and poses is not None:
-        listed = _listed(_objects(poses))
+    if not poses_file.is_file():
+        if object_id is not None:
+            raise InputError(f"{poses_file}: does not exist, expected it for `object` {object_id}")
+        return [view for view, *_ in _pictures(source)]
+    poses = CameraSource(poses_file)
+    with reading(poses, "a list of objects with cam_R_m2c, cam_t_m2c and obj_id for each picture"):
+        entries = {number: poses.json.get(number, []) for number in poses.json}
+        objects = {str(e["obj_id"]): e["obj_id"] for each in entries.values() for e in each}
+        if object_id is None:
+            object_id = _only_object(poses, list(objects.values()))
+        views = []
+        for view, number, padded in _pictures(source):
+            for place, entry in enumerate(entries.get(number, [])):
+                if entry["obj_id"] == object_id:
+                    poses.place = f"{plain(number)}."
+                    R, t = _pose(poses, entry, "cam_R_m2c", "cam_t_m2c")
+                    # The mask names picture and place; a picture with one such object names it too.
+                    names = (f"{padded}_{place:06d}", padded)
+                    views.append(replace(view, R=R, t=t, names=names))
+    if not views:
         raise InputError(
-            f"{poses_file}: no picture shows object {object_id}, expected one of {listed}: "
-            "`object` ID"
+            f"{poses_file}: no picture shows object {object_id}, expected one of "
+            f"{_listed(list(objects.values()))}: `object` ID"
         )
     return views
 
 
-def _entries(poses: CameraSource, number: str) -> list[dict[str, Any]]:
-    entries = poses.json.get(number, []) if isinstance(poses.json, dict) else None
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise poses.error(plain(number), kind(entries), "a list of poses")
-    return entries
+def _pictures(source: CameraSource) -> Iterator[tuple[PartialCamera, str, str]]:
+    """The camera of each picture, and its number as it is written and with six digits."""
+    with reading(source, NEEDS):
+        for number, values in source.json.items():
+            source.place = f"{plain(number)}."
+            K = source.matrix("cam_K", values["cam_K"], (9,), (3, 3)).reshape(3, 3)
+            R = t = None
+            if "cam_R_w2c" in values:
+                R, t = _pose(source, values, "cam_R_w2c", "cam_t_w2c")
+            padded = f"{int(number):06d}" if number.isdecimal() and len(number) < 10 else number
+            view = PartialCamera(f"picture {number}", of_pixels(K, None), R, t, names=(padded,))
+            yield view, number, padded
 
 
-def _objects(poses: CameraSource) -> list[Any]:
-    """The objects of a scene, in the order of their numbers."""
-    if not isinstance(poses.json, dict):
-        raise poses.error("the document", kind(poses.json), "the poses of each picture")
-    found = {
-        str(entry.get("obj_id")): entry.get("obj_id")
-        for number in poses.json
-        for entry in _entries(poses, number)
-    }
-    return sorted(found.values(), key=lambda one: one if isinstance(one, int) else math.inf)
+def _only_object(poses: CameraSource, objects: list[Any]) -> Any:
+    """The object of a scene that has only one."""
+    if len(objects) != 1:
+        raise InputError(
+            f"{poses.path}: holds the objects {_listed(objects)}, expected one; choose it: "
+            "`object` ID"
+        )
+    return objects[0]
 
 
 def _listed(objects: list[Any]) -> str:
-    names = [plain(str(one)) for one in objects[:MOST_LISTED]]
-    return ", ".join(names) + (", ..." if len(objects) > MOST_LISTED else "") or "none"
-
-
-def _only_object(poses: CameraSource) -> Any:
-    """The object of a scene that has only one."""
-    found = _objects(poses)
-    if len(found) != 1:
-        raise InputError(
-            f"{poses.path}: holds the objects {_listed(found)}, expected one; choose it: "
-            "`object` ID"
-        )
-    return found[0]
+    """The objects of a scene, in the order of their numbers."""
+    ordered = sorted(objects, key=lambda number: number if isinstance(number, int) else math.inf)
+    names = [plain(str(number)) for number in ordered[:MOST_LISTED]]
+    return ", ".join(names) + (", ..." if len(ordered) > MOST_LISTED else "") or "none"
 
 
 def _pose(
-    source: CameraSource, where: str, values: dict[str, Any], rotation: str, translation: str
+    source: CameraSource, values: dict[str, Any], rotation: str, translation: str
 ) -> tuple[Array, Array]:
-    for key in (rotation, translation):
-        if key not in values:
-            raise InputError(f"{source.path}: {where}.{key} is missing, expected it")
-    R = source.matrix(f"{where}.{rotation}", values[rotation], (9,), (3, 3)).reshape(3, 3)
-    return R, source.matrix(f"{where}.{translation}", values[translation], (3,))
+    R = source.matrix(rotation, values[rotation], (9,), (3, 3)).reshape(3, 3)
+    return R, source.matrix(translation, values[translation], (3,))

@@ -8,19 +8,20 @@ COLMAP has the axes and the pose of OpenCV. Its pixel centres lie at halves.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from ...errors import InputError
-from ...geometry.arrays import Array
 from ...geometry.distortion import Distortion
-from ...geometry.rotations import from_quaternion
 from ..clouds import MODEL_PLACES
+from ..guard import reading
 from ..reading import is_there, plain, shown
 from .record import PartialCamera, matrix_of, of_pixels
 from .source import COLMAP_FILES, CameraSource
+
+NEEDS = "cameras and images"
 
 # Number, name and how many parameters, of the models in COLMAP's models.h.
 _MODELS = {
@@ -29,6 +30,7 @@ _MODELS = {
     8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
 }  # fmt: skip
 _COUNTS = dict(_MODELS.values())
+UNDONE = tuple(name for name in _COUNTS if name not in ("FOV", "THIN_PRISM_FISHEYE"))
 _ONE_FOCAL = (
     "SIMPLE_PINHOLE",
     "SIMPLE_RADIAL",
@@ -38,12 +40,10 @@ _ONE_FOCAL = (
 )
 
 
-class _Lens(NamedTuple):
-    """A row of ``cameras``."""
-
-    size: tuple[int, int]
-    K: Array
-    distortion: Distortion
+Lens = tuple[int, str, float, float, list[float]]
+"""A row of ``cameras``: number, model, width, height and parameters."""
+Image = tuple[object, list[float], int, str]
+"""A row of ``images``: number, quaternion and t, number of the camera, name."""
 
 
 class _Model(NamedTuple):
@@ -70,21 +70,51 @@ def read(source: CameraSource) -> list[PartialCamera]:
         model = _model_in(path)
     elif path.name in COLMAP_FILES:
         model = _model_in(path.parent, ("",))
-    if model is not None:
-        binary = model.images.suffix == ".bin"
-        return _images_of_binary(model) if binary else _images_of_text(model)
-    if source.is_folder:
-        raise InputError(
-            f"{path}: holds no COLMAP model, expected cameras and images (.bin or .txt) in it or "
-            "in sparse/0"
-        )
-    if path.name in COLMAP_FILES and path.stem != "cameras":
-        raise InputError(
-            f"{path}: is a part of a COLMAP model, expected its folder with cameras and images"
-        )
-    # No images: K alone.
-    return [_view(source, f"camera {number}", lens, None, None, None)
-            for number, lens in _lenses(path).items()]  # fmt: skip
+    if model is None:
+        if source.is_folder or (path.name in COLMAP_FILES and path.stem != "cameras"):
+            raise InputError(
+                f"{path}: is a part of a COLMAP model, expected its folder with cameras and images "
+                "(.bin or .txt)"
+            )
+        return list(_lenses(path).values())
+    lenses, images = _lenses(model.cameras), CameraSource(model.images)
+    views = []
+    with reading(images, f"a whole file, and cameras of {model.cameras.name}"):
+        rows = _images_of_binary if model.images.suffix == ".bin" else _images_of_text
+        for number, pose, camera, name in rows(images):
+            images.place = f"image {number}: "
+            R = images.quaternion("quaternion", pose[:4])
+            t, lens = images.matrix("t", pose[4:], (3,)), lenses[f"camera {camera}"]
+            image = _picture(model.images.parent, name) if name.isprintable() and name else None
+            names = () if image is None else (name,)
+            views.append(replace(lens, title=images.title, R=R, t=t, image=image, names=names))
+            images.place = ""
+    return views
+
+
+def _lenses(path: Path) -> dict[str, PartialCamera]:
+    """The title of a camera, such as "camera 1" -> its K, size and lens."""
+    source, lenses = CameraSource(path), {}
+    with reading(source, "a number, a lens model, width, height and parameters of each camera"):
+        rows = _lenses_of_binary if path.suffix == ".bin" else _lenses_of_text
+        for number, model, width, height, values in rows(source):
+            source.place = f"camera {number}: "
+            if model not in UNDONE:
+                raise source.error(
+                    "the lens model",
+                    plain(model),
+                    f"one of {', '.join(UNDONE)}; undistort the pictures: colmap image_undistorter",
+                )
+            size = source.pixels("", width, height)
+            parameters = source.matrix("parameters", values, (_COUNTS[model],)).tolist()
+            both = parameters[:1] if model in _ONE_FOCAL else []
+            fx, fy, cx, cy, *rest = both + parameters
+            K = of_pixels(matrix_of(fx, fy, cx, cy, corner=True), size)
+            fisheye = "FISHEYE" in model
+            lens = Distortion("equidistant" if fisheye else "radial-tangential", tuple(rest))
+            lenses[source.title] = PartialCamera(source.title, K, size=size, distortion=lens)
+            source.place = ""
+    return lenses
 
 
 def _model_in(folder: Path, places: tuple[str, ...] = MODEL_PLACES) -> _Model | None:
@@ -98,25 +128,6 @@ def _model_in(folder: Path, places: tuple[str, ...] = MODEL_PLACES) -> _Model | 
     return None
 
 
-def _view(
-    source: CameraSource,
-    where: str,
-    lens: _Lens,
-    quaternion: list[float] | None,
-    t: list[float] | None,
-    name: str | None,
-) -> PartialCamera:
-    R = None if quaternion is None else _rotation(source, where, quaternion)
-    shift = None if t is None else source.matrix(f"{where}: t", t, (3,))
-    K, image = of_pixels(lens.K, lens.size), None
-    names: tuple[str, ...] = ()
-    if name and min(name) >= " ":
-        image, names = _picture(source.path.parent, name), (name,)
-    return PartialCamera(
-        where, K, R, shift, lens.size, distortion=lens.distortion, image=image, names=names
-    )
-
-
 def _picture(folder: Path, name: str) -> Path:
     """The file of a picture, whose name is relative to a folder that the model does not say."""
     plain_name = name.replace("\\", "/")
@@ -124,147 +135,46 @@ def _picture(folder: Path, name: str) -> Path:
     return next((file for file in places if is_there(file)), folder / plain_name)
 
 
-def _rotation(source: CameraSource, where: str, quaternion: list[float]) -> Array:
-    """[3, 3] of a quaternion w, x, y, z."""
-    q = source.matrix(f"{where}: quaternion", quaternion, (4,))
-    if np.linalg.norm(q) < 1e-6:
-        raise source.error(f"{where}: quaternion", str(q.tolist()), "one of length 1")
-    return from_quaternion(*q.tolist())
+def _lenses_of_text(source: CameraSource) -> Iterator[Lens]:
+    for number, model, width, height, *values in source.words:
+        yield int(number), model, float(width), float(height), [float(value) for value in values]
 
 
-def _lens(
-    source: CameraSource, where: str, model: str, size: tuple[int, int], values: list[float]
-) -> _Lens:
-    parameters = source.matrix(f"{where}: parameters", values, (_COUNTS[model],)).tolist()
-    if model in ("FOV", "THIN_PRISM_FISHEYE"):
-        raise InputError(
-            f"{source.path}: {where} has the lens model {model}, which tso does not undo; "
-            "undistort the pictures: colmap image_undistorter"
-        )
-    both = parameters[:1] if model in _ONE_FOCAL else []
-    fx, fy, cx, cy, *rest = both + parameters
-    K = matrix_of(fx, fy, cx, cy, corner=True)
-    fisheye = "FISHEYE" in model
-    return _Lens(
-        size, K, Distortion("equidistant" if fisheye else "radial-tangential", tuple(rest))
-    )
+def _lenses_of_binary(source: CameraSource) -> Iterator[Lens]:
+    (count,), start = struct.unpack_from("<Q", source.data), 8
+    for _ in range(count):
+        number, model, width, height = struct.unpack_from("<iiQQ", source.data, start)
+        name = _MODELS[model][0] if model in _MODELS else f"number {model}"
+        values = struct.unpack_from(f"<{_COUNTS.get(name, 0)}d", source.data, start + 24)
+        start += 24 + 8 * len(values)
+        yield number, name, width, height, list(values)
 
 
-def _require_known(source: CameraSource, where: str, model: str) -> None:
-    if model not in _COUNTS:
-        raise InputError(
-            f"{source.path}: {where} has the lens model {shown(model)}, expected one of "
-            f"{', '.join(_COUNTS)}; undistort the pictures: colmap image_undistorter"
-        )
-
-
-def _lenses(path: Path) -> dict[int, _Lens]:
-    """Number of a camera -> its row."""
-    return _lenses_of_binary(path) if path.suffix == ".bin" else _lenses_of_text(path)
-
-
-def _lenses_of_text(path: Path) -> dict[int, _Lens]:
-    source, lenses = CameraSource(path), {}
-    for words in source.words:
-        try:
-            number, model, *values = int(words[0]), *words[1:]
-            width, height, *parameters = map(float, values)
-        except ValueError:
-            raise source.error(
-                "a row",
-                shown(" ".join(words[:4])),
-                "a number, a model, width, height and parameters",
-            ) from None
-        where = f"camera {number}"
-        _require_known(source, where, model)
-        size = source.pixels(f"{where}: ", width, height)
-        lenses[number] = _lens(source, where, model, size, parameters)
-    return lenses
-
-
-def _images_of_text(model: _Model) -> list[PartialCamera]:
-    lenses, source = _lenses(model.cameras), CameraSource(model.images)
+def _images_of_text(source: CameraSource) -> Iterator[Image]:
     # Two lines of each image: its pose, and its points, which may be an empty line.
     lines = [line for line in source.text.splitlines() if not line.lstrip().startswith("#")]
-    views = []
-    while lines and not lines[0].strip():
-        lines.pop(0)
-    for line, points in zip(lines[::2], [*lines[1::2], ""], strict=False):
-        words = line.split(maxsplit=9)
-        if not words:
+    first = next((number for number, line in enumerate(lines) if line.strip()), len(lines))
+    for line, points in zip(lines[first::2], [*lines[first + 1 :: 2], ""], strict=False):
+        if not line.strip():
             continue
+        number, *pose, camera, name = line.split(maxsplit=9)
         if len(points.split()) % 3:
             raise source.error(
-                f"the line after image {plain(words[0])}", shown(points[:60]),
+                f"the line after image {plain(number)}",
+                shown(points[:60]),
                 "its points X Y POINT3D_ID, or an empty line",
-            )  # fmt: skip
-        where = f"image {plain(words[0])}"
-        try:
-            numbers = [float(word) for word in words[1:8]]
-            camera, name = int(words[8]), words[9].strip()
-        except (ValueError, IndexError):
-            raise source.error(
-                where,
-                shown(" ".join(words[:4])),
-                "a quaternion, t, the number of a camera and a name",
-            ) from None
-        if camera not in lenses:
-            raise source.error(f"{where}: camera", str(camera), f"one of {model.cameras.name}")
-        views.append(_view(source, where, lenses[camera], numbers[:4], numbers[4:], name))
-    return views
-
-
-class _Binary:
-    """Reads numbers of a binary file in their order."""
-
-    def __init__(self, path: Path) -> None:
-        self.source, self._at = CameraSource(path), 0
-
-    def take(self, form: str) -> tuple[float, ...]:
-        try:
-            values = struct.unpack_from("<" + form, self.source.data, self._at)
-        except struct.error:
-            raise InputError(f"{self.source.path}: ends early, expected a whole file") from None
-        self._at += struct.calcsize("<" + form)
-        return values
-
-    def name(self) -> str:
-        end = self.source.data.find(b"\0", self._at)
-        if end < 0:
-            raise InputError(f"{self.source.path}: ends early, expected a whole file")
-        text = self.source.data[self._at : end].decode("utf-8", "replace")
-        self._at = end + 1
-        return text
-
-    def skip(self, size: int) -> None:
-        self._at += size
-        if self._at > len(self.source.data):
-            raise InputError(f"{self.source.path}: ends early, expected a whole file")
-
-
-def _lenses_of_binary(path: Path) -> dict[int, _Lens]:
-    cameras, lenses = _Binary(path), {}
-    for _ in range(int(cameras.take("Q")[0])):
-        number, model, width, height = cameras.take("iiQQ")
-        name, count = _MODELS.get(int(model), (f"number {model}", 0))
-        where = f"camera {number}"
-        _require_known(cameras.source, where, name)
-        size = cameras.source.pixels(f"{where}: ", width, height)
-        parameters = list(cameras.take(f"{count}d"))
-        lenses[int(number)] = _lens(cameras.source, where, name, size, parameters)
-    return lenses
-
-
-def _images_of_binary(model: _Model) -> list[PartialCamera]:
-    lenses, images, views = _lenses(model.cameras), _Binary(model.images), []
-    for _ in range(int(images.take("Q")[0])):
-        number, *pose, camera = images.take("i7di")
-        name = images.name()
-        images.skip(24 * int(images.take("Q")[0]))
-        where = f"image {number}"
-        if camera not in lenses:
-            raise images.source.error(
-                f"{where}: camera", str(camera), f"one of {model.cameras.name}"
             )
-        views.append(_view(images.source, where, lenses[int(camera)], pose[:4], pose[4:], name))
-    return views
+        yield plain(number), [float(word) for word in pose], int(camera), name.strip()
+
+
+def _images_of_binary(source: CameraSource) -> Iterator[Image]:
+    data = source.data
+    (count,), start = struct.unpack_from("<Q", data), 8
+    for _ in range(count):
+        number, *pose, camera = struct.unpack_from("<i7di", data, start)
+        end = data.index(b"\0", start + 64)
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        yield number, pose, camera, data[start + 64 : end].decode("utf-8", "replace")
+        start = end + 9 + 24 * points
+        if start > len(data):
+            raise IndexError

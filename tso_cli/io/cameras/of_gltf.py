@@ -13,6 +13,8 @@ from ..gltf_scene import MAGIC, document_of, objects_of, places_of, scene_text
 from .record import OPENGL, PartialCamera, from_camera_to_world, of_vertical_angle
 from .source import CameraSource
 
+NEEDS = "nodes with a perspective camera"
+
 
 def recognises(source: CameraSource) -> bool:
     if source.data[:4] == MAGIC:
@@ -32,7 +34,7 @@ def read(source: CameraSource) -> list[PartialCamera]:
         index = node.get("camera")
         if index is None:
             continue
-        if not isinstance(index, int) or not 0 <= index < len(cameras):
+        if index not in range(len(cameras)):
             raise source.error(f"nodes[{number}].camera", kind(index), "the index of a camera")
         camera = cameras[index]
         name = str(node.get("name") or camera.get("name") or f"camera {index}")
@@ -42,7 +44,7 @@ def read(source: CameraSource) -> list[PartialCamera]:
                 f"{source.path}: the camera {name} is not perspective, which tso does not read "
                 "from glTF; write K, R and t instead"
             )
-        angle = source.number(f"cameras[{index}].perspective.yfov", lens.get("yfov"))
+        angle = source.number(f"cameras[{index}].perspective.yfov", lens["yfov"])
         if not 0.0 < angle < 3.14:
             raise source.error(f"{name}: yfov", f"{angle:g}", "radians between 0 and pi")
         # A scale of the node has no meaning for a camera.

@@ -9,10 +9,12 @@ from __future__ import annotations
 import re
 import warnings
 
-from ...errors import InputError, prefixed
+from ...errors import prefixed
 from .matrices import decomposed
 from .record import PartialCamera, of_pixels
 from .source import CameraSource
+
+NEEDS = "world_mat_0, world_mat_1, ..."
 
 _KEY = re.compile(r"world_mat_(\d{1,6})")
 
@@ -22,12 +24,9 @@ def recognises(source: CameraSource) -> bool:
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
-    if not recognises(source):
-        raise InputError(f"{source.path}: world_mat_0 is missing, expected it")
-    found = {int(match[1]): key for key in source.arrays if (match := _KEY.fullmatch(key))}
+    keys = {int(match[1]): key for key in source.arrays if (match := _KEY.fullmatch(key))}
     views = []
-    for number in sorted(found):
-        key = found[number]
+    for number, key in sorted(keys.items()):
         P = source.pose(key, source.arrays[key], (4, 4), (3, 4))
         with prefixed(f"{source.path}: {key}: "):
             K, R, t = decomposed(P[:3])

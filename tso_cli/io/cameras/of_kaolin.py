@@ -6,6 +6,8 @@ from ...errors import InputError
 from .record import OPENGL, PartialCamera, from_world_to_camera, matrix_of, of_pixels
 from .source import CameraSource
 
+NEEDS = "extrinsics, intrinsics.focal_x, width and height"
+
 
 def recognises(source: CameraSource) -> bool:
     document = source.json
@@ -15,10 +17,8 @@ def recognises(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     document = source.json
-    if not recognises(source):
-        raise source.error("the document", "something else", "extrinsics and intrinsics.focal_x")
     inner = document["intrinsics"]
-    size = source.pixels("", document.get("width"), document.get("height"))
+    size = source.pixels("", document["width"], document["height"])
     fx = source.number("intrinsics.focal_x", inner["focal_x"])
     fy = source.number("intrinsics.focal_y", inner.get("focal_y", fx))
     for key in ("x0", "y0"):

@@ -18,6 +18,8 @@ from .own import NAMES, OTHER_NAMES, matrices_of, require_no_lens
 from .record import PartialCamera, from_world_to_camera, of_pixels
 from .source import CameraSource
 
+NEEDS = "3x3, 3x4 or 4x4 numbers"
+
 # Keys whose value is a matrix or a vector -> its dimensions.
 _DIMENSIONS = {"K": 2, "R": 2, "t": 1, "E": 2, "c2w": 2, "P": 2, "width": 0, "height": 0}
 
@@ -51,10 +53,7 @@ def read(source: CameraSource) -> list[PartialCamera]:
     elif source.container == "npy":
         values = read_array(source.data, source.path)
     else:
-        try:
-            values = [[float(word) for word in words] for words in source.words]
-        except ValueError:
-            raise source.error("the text", "not a matrix", "3x3, 3x4 or 4x4 numbers") from None
+        values = [[float(word) for word in words] for words in source.words]
     shapes = ((3, 3), (3, 4), (4, 4), (-1, 3, 3), (-1, 3, 4), (-1, 4, 4))
     array = source.matrix("the array", values, *shapes)
     stack = array[None] if array.ndim == 2 else array

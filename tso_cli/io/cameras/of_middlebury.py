@@ -5,11 +5,12 @@ A line is the name of the picture, K and R by rows, and t.
 
 from __future__ import annotations
 
-from ...errors import InputError
 from ..reading import plain
 from .own import relative_to
 from .record import PartialCamera, of_pixels
 from .source import CameraSource
+
+NEEDS = "the number of pictures, and of each its name, K, R and t"
 
 _NUMBERS = 21
 
@@ -29,18 +30,9 @@ def read(source: CameraSource) -> list[PartialCamera]:
         raise source.error("the number of pictures", plain(stated),
                            f"{found}, as there are lines; the file may end early")  # fmt: skip
     for number, words in enumerate(source.words[1:], 1):
-        where = f"line {number + 1}"
-        try:
-            values = [float(word) for word in words[1:]]
-        except ValueError:
-            values = []
-        if len(values) != _NUMBERS:
-            raise InputError(
-                f"{source.path}: {where} has {len(words)} words, expected the name of a picture "
-                f"and {_NUMBERS} numbers: K, R and t"
-            )
-        numbers = source.matrix(where, values, (_NUMBERS,))
+        source.place = f"line {number + 1}: "
+        numbers = source.matrix("K, R and t", [float(word) for word in words[1:]], (_NUMBERS,))
         K, R, t = numbers[:9].reshape(3, 3), numbers[9:18].reshape(3, 3), numbers[18:]
         image = relative_to(source.path, words[0])
-        views.append(PartialCamera(where, of_pixels(K, None), R, t, image=image))
+        views.append(PartialCamera(source.title, of_pixels(K, None), R, t, image=image))
     return views

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from ...errors import InputError
-from ..checked import kind
 from .record import PartialCamera, from_camera_to_world, from_world_to_camera, of_pixels
 from .source import CameraSource
+
+NEEDS = "intrinsic_matrix, width, height and extrinsic, or a log of 4x4 poses"
 
 _CLASSES = ("PinholeCameraParameters", "PinholeCameraTrajectory", "PinholeCameraIntrinsic")
 _ROWS = 5  # of the log: numbers of the frame, and a matrix
@@ -27,45 +27,32 @@ def recognises(source: CameraSource) -> bool:
 def read(source: CameraSource) -> list[PartialCamera]:
     if not source.looks_like_json:
         return _log(source)
-    document = source.json if isinstance(source.json, dict) else {}
-    if document.get("class_name") == "PinholeCameraTrajectory":
-        parameters = document.get("parameters")
-        if not isinstance(parameters, list):
-            raise source.error("parameters", kind(parameters), "a list of cameras")
-        return [_view(source, f"parameters[{i}]", one) for i, one in enumerate(parameters)]
-    if document.get("class_name") == "PinholeCameraIntrinsic":
+    document = source.json
+    if document["class_name"] == "PinholeCameraTrajectory":
+        return [
+            _view(source, one) for one in source.each(document["parameters"], "parameters[{}].")
+        ]
+    if document["class_name"] == "PinholeCameraIntrinsic":
         document = {"intrinsic": document}
-    return [_view(source, "", document)]
+    return [_view(source, document)]
 
 
-def _view(source: CameraSource, where: str, values: Any) -> PartialCamera:
-    intrinsic = values.get("intrinsic") if isinstance(values, dict) else None
-    if not isinstance(intrinsic, dict):
-        raise source.error(where or "the document", kind(values), "an object with intrinsic")
-    prefix = f"{where}." if where else ""
-    K = source.matrix(f"{prefix}intrinsic_matrix", intrinsic.get("intrinsic_matrix"), (9,))
-    size = source.pixels(prefix, intrinsic.get("width"), intrinsic.get("height"))
+def _view(source: CameraSource, values: dict[str, Any]) -> PartialCamera:
+    intrinsic = values["intrinsic"]
+    K = source.matrix("intrinsic_matrix", intrinsic["intrinsic_matrix"], (9,)).reshape(3, 3).T
+    size = source.pixels("", intrinsic["width"], intrinsic["height"])
     R = t = None
     if "extrinsic" in values:
-        columns = source.matrix(f"{prefix}extrinsic", values["extrinsic"], (16,))
-        R, t = from_world_to_camera(source.pose(f"{prefix}extrinsic", columns.reshape(4, 4).T))
-    return PartialCamera(where, of_pixels(K.reshape(3, 3).T, size), R, t, size)
+        columns = source.matrix("extrinsic", values["extrinsic"], (16,))
+        R, t = from_world_to_camera(source.pose("extrinsic", columns.reshape(4, 4).T))
+    return PartialCamera(source.title, of_pixels(K, size), R, t, size)
 
 
 def _log(source: CameraSource) -> list[PartialCamera]:
-    rows = source.words
-    if len(rows) % _ROWS:
-        raise InputError(
-            f"{source.path}: has {len(rows)} lines, expected {_ROWS} for each frame of a "
-            "trajectory log"
-        )
+    frames = [source.words[i + 1 : i + _ROWS] for i in range(0, len(source.words), _ROWS)]
     views = []
-    for frame, start in enumerate(range(0, len(rows), _ROWS)):
-        where = f"frame {frame}"
-        try:
-            numbers = [[float(word) for word in words] for words in rows[start + 1 : start + _ROWS]]
-        except ValueError:
-            raise source.error(where, "not a matrix of numbers", "4x4 numbers") from None
-        R, t = from_camera_to_world(source.pose(where, numbers))
-        views.append(PartialCamera(where, None, R, t))
+    for frame in source.each(frames, "frame {}: "):
+        matrix = [[float(word) for word in words] for words in frame]
+        R, t = from_camera_to_world(source.pose("the pose", matrix))
+        views.append(PartialCamera(source.title, None, R, t))
     return views

@@ -15,10 +15,11 @@ from ...errors import InputError
 from ...geometry.arrays import Array
 from ...geometry.distortion import Distortion
 from ...geometry.rotations import from_vectors
-from ..checked import kind
 from ..reading import shown
 from .record import PartialCamera, from_world_to_camera, matrix_of, of_pixels
 from .source import CameraSource
+
+NEEDS = "keys such as camera_matrix"
 
 _K = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "intrinsic_matrix", "mtx")
 _DISTORTION = (
@@ -57,8 +58,6 @@ def recognises(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     document = _document(source)
-    if not isinstance(document, dict):
-        raise source.error("the document", kind(document), "keys such as camera_matrix")
     if cams := _cams(document):
         return _kalibr(source, cams)
     return _stereo(source, document) if _is_stereo(document) else _calibration(source, document)
@@ -109,11 +108,8 @@ def _model(values: dict[str, Any]) -> Any:
 
 
 def _calibration(source: CameraSource, values: dict[str, Any]) -> list[PartialCamera]:
-    found = _first(values, _K)
-    if found is None:
-        raise InputError(f"{source.path}: has none of {', '.join(_K)}, expected K")
     size = _size(source, values)
-    K = of_pixels(_matrix(source, "K", found, (3, 3), (9,)).reshape(3, 3), size)
+    K = of_pixels(_matrix(source, "K", _first(values, _K), (3, 3), (9,)).reshape(3, 3), size)
     lens = _lens(source, "", _model(values), _first(values, _DISTORTION))
     poses = _poses(source, values)
     if poses is not None:

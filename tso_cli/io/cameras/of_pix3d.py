@@ -12,6 +12,8 @@ from .own import named_file
 from .record import PYTORCH3D, PartialCamera, from_world_to_camera, of_widths
 from .source import CameraSource, has_keys
 
+NEEDS = "rot_mat, trans_mat, focal_length and img_size"
+
 SENSOR_WIDTH = 32.0  # mm
 _KEYS = {"rot_mat", "trans_mat", "focal_length", "img_size"}
 
@@ -24,19 +26,16 @@ def recognises(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     views = []
-    for where, entry in source.entries(_KEYS, "entry {}"):
-        focal = source.number(f"{where}: focal_length", entry["focal_length"])
+    for entry in source.each(source.objects, "entry {}: "):
+        focal = source.number("focal_length", entry["focal_length"])
         if focal <= 0.0:
-            raise source.error(f"{where}: focal_length", f"{focal:g}", "more than 0 (mm)")
-        rotation = source.matrix(f"{where}: rot_mat", entry["rot_mat"], (3, 3))
-        translation = source.matrix(f"{where}: trans_mat", entry["trans_mat"], (3,))
-        width, height = source.matrix(f"{where}: img_size", entry["img_size"], (2,))
+            raise source.error("focal_length", f"{focal:g}", "more than 0 (mm)")
+        rotation = source.matrix("rot_mat", entry["rot_mat"], (3, 3))
+        translation = source.matrix("trans_mat", entry["trans_mat"], (3,))
+        width, height = source.matrix("img_size", entry["img_size"], (2,))
         R, t = from_world_to_camera(np.c_[rotation, translation], PYTORCH3D)
         mask, image = (named_file(source, entry.get(key)) for key in ("mask", "img"))
-        size = source.pixels(f"{where}: img_size: ", width, height)
-        views.append(
-            PartialCamera(
-                where, of_widths(focal / SENSOR_WIDTH), R, t, size, mask=mask, image=image
-            )
-        )
+        size = source.pixels("img_size: ", width, height)
+        K = of_widths(focal / SENSOR_WIDTH)
+        views.append(PartialCamera(source.title, K, R, t, size, mask=mask, image=image))
     return views

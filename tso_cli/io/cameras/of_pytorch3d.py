@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError
 from ...geometry.arrays import Array
 from .record import PYTORCH3D, Intrinsics, PartialCamera, matrix_of, of_ndc, of_pixels
 from .source import CameraSource
+
+NEEDS = "R and T"
 
 # Keys that, next to R and T, only PyTorch3D has.
 _OWN = {"focal_length", "principal_point", "in_ndc", "image_size"}
@@ -30,9 +31,6 @@ def recognises(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     values = source.arrays
-    for key in ("R", "T"):
-        if key not in values:
-            raise InputError(f"{source.path}: {key} is missing, expected R and T")
     R = _stack(source, values, "R", (3, 3))
     T = _stack(source, values, "T", (3,))
     count = max(len(R), len(T))

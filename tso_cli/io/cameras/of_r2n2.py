@@ -13,11 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...errors import InputError
 from ...geometry.arrays import Array
 from .own import relative_to
 from .record import PartialCamera, of_longer_sides
 from .source import CameraSource
+
+NEEDS = "azimuth, elevation, rotation and distance ratio in each line"
 
 FOCAL = 35.0 / 32.0
 """Focal length, in longer sides of the picture."""
@@ -36,22 +37,14 @@ def recognises(source: CameraSource) -> bool:
 def read(source: CameraSource) -> list[PartialCamera]:
     views = []
     for number, words in enumerate(source.words):
-        where = f"line {number + 1}"
-        try:
-            values = [float(word) for word in words]
-        except ValueError:
-            values = []
-        if len(values) < _COLUMNS - 1:
-            raise InputError(
-                f"{source.path}: {where} has {len(words)} words, expected azimuth, elevation, "
-                "rotation and distance ratio"
-            )
-        azimuth, elevation, rotation, ratio = source.matrix(where, values[:4], (4,)).tolist()
+        source.place = f"line {number + 1}: "
+        values = source.matrix("the view", [float(word) for word in words[:4]], (4,))
+        azimuth, elevation, rotation, ratio = values.tolist()
         if ratio <= 0.0:
-            raise source.error(f"{where}: the distance ratio", f"{ratio:g}", "more than 0")
+            raise source.error("the distance ratio", f"{ratio:g}", "more than 0")
         R, t = pose(azimuth, elevation, ratio, rotation)
         image = relative_to(source.path, f"{number:02d}.png")
-        views.append(PartialCamera(where, of_longer_sides(FOCAL), R, t, image=image))
+        views.append(PartialCamera(source.title, of_longer_sides(FOCAL), R, t, image=image))
     return views
 
 

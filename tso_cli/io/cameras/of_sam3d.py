@@ -14,9 +14,10 @@ from typing import Any
 
 from ...errors import InputError
 from ...geometry.arrays import Array
-from ...geometry.rotations import from_quaternion
 from .record import PYTORCH3D, Intrinsics, PartialCamera, of_pixels, of_shares
 from .source import CameraSource, has_keys
+
+NEEDS = "rotation, translation and scale"
 
 _KEYS = {"rotation", "translation", "scale"}
 # The network gives three scales that differ by rounding. A camera cannot stretch an object.
@@ -32,18 +33,15 @@ def recognises(source: CameraSource) -> bool:
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
-    entries = list(source.entries(_KEYS, "object {}"))
-    if len(entries) != 1:
+    if len(source.objects) != 1:
         raise InputError(
-            f"{source.path}: holds the poses of {len(entries)} objects, expected that of one; "
-            "write one file for each object"
+            f"{source.path}: holds the poses of {len(source.objects)} objects, expected that of "
+            "one; write one file for each object"
         )
-    values = entries[0][1]
-    q = _array(source, "rotation", values["rotation"], (4,))
-    if not q.any():
-        raise source.error("rotation", "a quaternion of length 0", "w, x, y and z of a rotation")
+    values = source.objects[0]
+    quaternion = _array(source, "rotation", values["rotation"], (4,))
     translation = _array(source, "translation", values["translation"], (3,))
-    R = PYTORCH3D @ from_quaternion(*q.tolist()).T
+    R = PYTORCH3D @ source.quaternion("rotation", quaternion).T
     t = PYTORCH3D @ translation / _scale(source, values["scale"])
     return [PartialCamera("", _intrinsics(source, values), R, t, z_up=True)]
 

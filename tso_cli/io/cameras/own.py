@@ -30,6 +30,8 @@ from .record import (
 )
 from .source import CameraSource
 
+NEEDS = "width, height, K, R and t"
+
 # Key -> other names of the same thing in files of other programs. Each has one meaning.
 NAMES = {
     "K": ("intrinsic", "intrinsics", "intrinsic_matrix", "camera_matrix", "cam_K"),
@@ -60,7 +62,6 @@ _UNCLEAR = {
     "view": "views", "cameras": "views", "frames": "views",
     "camera_model": "model", "projection": "model",
 }  # fmt: skip
-_EXPECTED = "width, height, K, R and t"
 
 
 def recognises(source: CameraSource) -> bool:
@@ -93,7 +94,7 @@ def read(source: CameraSource) -> list[PartialCamera]:
         if not isinstance(view, dict):
             place = f"{where[:-1]} is" if where else "holds"
             raise InputError(
-                f"{path}: {place} {kind(view)}, expected an object with {_EXPECTED}"
+                f"{path}: {place} {kind(view)}, expected an object with {NEEDS}"
                 + ("" if where else " or views")
             )
         ignored |= _unknown_keys(path, where, view, _KNOWN)
@@ -151,7 +152,7 @@ def _size(source: CameraSource, where: str, values: dict[str, Any]) -> tuple[int
         return None
     if len(given) == 1:
         missing = "height" if given == ["width"] else "width"
-        raise InputError(f"{source.path}: {where}{missing} is missing, expected {_EXPECTED}")
+        raise InputError(f"{source.path}: {where}{missing} is missing, expected {NEEDS}")
     width, height = source.pixels(where, values["width"], values["height"])
     if width * height > PIXEL_LIMIT:
         raise source.error(
@@ -190,12 +191,12 @@ def matrices_of(
             R, t = pose(source.pose(where + key, values[key], (4, 4), (3, 4), (16,), (12,)))
     if ("R" in values) != ("t" in values):
         other = "t" if "R" in values else "R"
-        raise InputError(f"{source.path}: {where}{other} is missing, expected {_EXPECTED}")
+        raise InputError(f"{source.path}: {where}{other} is missing, expected {NEEDS}")
     if "R" in values:
         R = source.matrix(f"{where}R", values["R"], (3, 3), (9,)).reshape(3, 3)
         t = source.matrix(f"{where}t", values["t"], (3,), (3, 1)).reshape(3)
     if K is None and R is None:
-        raise InputError(f"{source.path}: {where}K is missing, expected {_EXPECTED}")
+        raise InputError(f"{source.path}: {where}K is missing, expected {NEEDS}")
     return K, R, t, size
 
 

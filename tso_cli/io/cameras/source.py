@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ import numpy as np
 
 from ...errors import InputError
 from ...geometry.arrays import Array
-from ..checked import Checked, kind
+from ...geometry.rotations import from_quaternion
+from ..checked import Checked
 from ..output import reason
 from ..reading import json_reason, read_bytes, shown
 
@@ -132,17 +133,29 @@ class CameraSource(Checked):
             )
         return rows
 
-    def entries(self, keys: set[str], where: str) -> Iterator[tuple[str, dict[str, Any]]]:
-        """The place and the object of each view: the document, or each object of its list.
+    def quaternion(self, where: str, values: Any) -> Array:
+        """The rotation [3, 3] of w, x, y and z; InputError if all are 0."""
+        w, x, y, z = self.matrix(where, values, (4,)).tolist()
+        if not any((w, x, y, z)):
+            raise self.error(where, "a quaternion of length 0", "w, x, y and z of a rotation")
+        return from_quaternion(w, x, y, z)
 
-        Raises InputError at an object without one of the ``keys``.
-        """
-        document = self.json if isinstance(self.json, list) else [self.json]
-        for number, entry in enumerate(document):
-            place = where.format(number)
-            if not has_keys(entry, keys):
-                raise self.error(place, kind(entry), f"an object with {', '.join(sorted(keys))}")
-            yield place, entry
+    @property
+    def title(self) -> str:
+        """The place, as the title of a view."""
+        return self.place.rstrip(".: ")
+
+    @property
+    def objects(self) -> list[Any]:
+        """The entries of the JSON document, or the document itself."""
+        return self.json if isinstance(self.json, list) else [self.json]
+
+    def each(self, entries: Sequence[Any], place: str) -> Iterator[Any]:
+        """The ``entries`` one after the other; ``place`` has {} for the number of an entry."""
+        for number, entry in enumerate(entries):
+            self.place = place.format(number)
+            yield entry
+        self.place = ""
 
     @cached_property
     def words(self) -> list[list[str]]:

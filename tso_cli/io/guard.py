@@ -1,0 +1,36 @@
+"""What a damaged file raises becomes one line: the file, the place, and what was expected."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from ..errors import InputError
+from .checked import Checked
+from .output import reason
+from .reading import plain
+
+DAMAGE = (LookupError, ValueError, TypeError, AttributeError, OverflowError, struct.error)
+"""What numpy, struct and look-ups raise where a file lacks something, or has another form."""
+
+
+@contextmanager
+def reading(source: Checked, expected: str) -> Iterator[None]:
+    """Inside, a reader takes what it needs of ``source``, and sets its ``place`` as it goes on.
+
+    Raises InputError where the file does not have what was ``expected``.
+    """
+    try:
+        yield
+    except DAMAGE as error:
+        place = source.place.rstrip(".: ")
+        if isinstance(error, KeyError):
+            wrong = f"{source.place}{plain(str(error.args[0]))} is missing"
+        elif isinstance(error, (IndexError, struct.error)):
+            wrong = f"{place} ends early"
+        elif isinstance(error, (TypeError, AttributeError)):
+            wrong = f"{place} has another form"
+        else:
+            wrong = f"{place} cannot be read ({reason(error)})"
+        raise InputError(f"{source.path}: {wrong.lstrip()}, expected {expected}") from None
