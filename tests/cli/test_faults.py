@@ -1,6 +1,7 @@
 """Whatever goes wrong, a command says so in one line; no file is lost, half written or left."""
 
 import errno
+import fcntl
 import json
 import os
 import re
@@ -25,7 +26,7 @@ from tso_cli.io import output, reading
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_depth
 from tso_cli.io.masks import read_mask
-from tso_cli.io.output import atomic_output, lock, sole_writer
+from tso_cli.io.output import atomic_output, sole_writer
 from tso_cli.io.ply_body import BinaryBody
 from tso_cli.io.reading import TextTable
 from tso_cli.io.shipped import examples_folder
@@ -118,10 +119,10 @@ def test_the_next_run_takes_what_a_killed_one_left_and_not_what_a_living_one_wri
         temporary.write_text("new")
     assert list(tmp_path.iterdir()) == [output]
     left.touch()
-    held = lock(left)
-    with atomic_output(output) as temporary:
-        assert temporary != left
-    os.close(held)
+    with left.open() as held:
+        fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with atomic_output(output) as temporary:
+            assert temporary != left
     assert left.exists()
 
 

@@ -269,7 +269,6 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         return
     from ..train import TrainConfig, train
     from ..train.processes import joined
-    from ..train.speed import images_per_second
     from ..train.state import stored_window
     from .train_report import print_summary, training_document, unusable
     from .training_data import DataSelection, load
@@ -322,10 +321,8 @@ def command(ctx: click.Context, as_json: bool, **chosen: Any) -> None:
         "train": trained - prepared,
         "judge": time.perf_counter() - trained,
     }
-    document["images_per_second"] = {
-        "training": (result.steps - first_step) * config.batch_size / (trained - prepared),
-        **images_per_second(state, config, data, masked_data),
-    }
+    images = (result.steps - first_step) * config.batch_size
+    document["images_per_second"] = images / (trained - prepared)
     left_out = unusable(sets)
     document["left_out"] = {
         item: why for each in sets for item, why in each.skipped.items()

@@ -74,9 +74,9 @@ def unusable(sets: list[TrainingData]) -> dict[str, str]:
 
 def print_summary(document: dict[str, Any]) -> None:
     """Print the document for people."""
-    seconds, speed = document["seconds"], document["images_per_second"]
     click.echo(
-        f"{document['output']}: {document['steps']} steps in {seconds['train']:.0f} s, "
+        f"{document['output']}: {document['steps']} steps in {document['seconds']['train']:.0f} s, "
+        f"{document['images_per_second']:.0f} images/s, "
         f"{document['training_set']}"
     )
     for key, label in (
@@ -96,12 +96,6 @@ def print_summary(document: dict[str, Any]) -> None:
             f"{len(document['not_judged'])} of {document['objects']} objects have no 3D file "
             "and were not evaluated (--json names them)"
         )
-    click.echo(
-        f"{speed['training']:.0f} images/s in training; "
-        f"{speed['step']:.0f} images/s in a step without the optimiser; "
-        f"{speed['bare']:.0f} images/s in the network alone, forward and backward "
-        f"(data, projector and losses add {round(100.0 * speed['added'])} % to its time)"
-    )
     click.echo(
         f"(squared distances, mean over points, {document['scale']}; N {document['points']}, "
         f"seed {document['seed']}, sigma^2 {document['sigma_sq']:g}, {document['device']})"

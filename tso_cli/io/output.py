@@ -233,25 +233,6 @@ def sole_writer(path: Path) -> Iterator[None]:
             os.close(held)
 
 
-def lock(path: Path) -> int | None:
-    """Lock a file or folder; the lock lasts until the returned handle is closed.
-
-    Returns None if somebody else has locked it, or if it cannot be locked.
-    """
-    try:
-        import fcntl
-
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
-    except (ImportError, OSError):
-        return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(handle)
-        return None
-    return handle
-
-
 def reason(error: BaseException) -> str:
     """What the system or a library says about ``error``, on one line and without a path."""
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
