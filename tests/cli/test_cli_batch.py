@@ -159,14 +159,14 @@ def test_runs_with_other_parts_go_on_but_not_at_the_same_time(items, tso):
 def test_a_full_disk_loses_no_item(items, tso, monkeypatch):
     """`write_cloud` finds the disk full, in this process."""
     from tso_cli.batch.run import Task
-    from tso_cli.commands import batch_item, refine_files
+    from tso_cli.commands import batch_item, refine_outputs
 
     def full(*arguments, **more):
         raise InputError("a.ply: cannot be written") from OSError(errno.ENOSPC, "no space")
 
     files = (str(CHAIR / "initial.ply"), str(CHAIR / "mask.png"))
     words = ("--steps", "1", "-o", "a.ply", "--", *files)
-    monkeypatch.setattr(refine_files, "write_cloud", full)
+    monkeypatch.setattr(refine_outputs, "write_cloud", full)
     outcome = batch_item.refine_item(Task("a.ply", words), None)
     assert outcome.event == "failed"
     assert outcome.key is None

@@ -225,7 +225,7 @@ def test_a_camera_found_beside_the_mask_is_not_overwritten(folder, refine):
     before = Path("camera.json").read_bytes()
     run = refine(*POINTS, "--write-camera", "camera.json", "--overwrite")
     assert run.code == 2
-    assert "camera.json: is another file of this command" in run.err
+    assert "camera.json: is an input" in run.err
     assert Path("camera.json").read_bytes() == before
 
 

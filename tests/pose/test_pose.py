@@ -149,7 +149,11 @@ def test_a_camera_file_called_fit_is_read_when_written_with_its_folder(refine, f
         ("image.png --camera fit", "finds the camera of one mask, found 2 masks"),
         ("--write-camera camera.txt", "expected .json"),
         ("--write-camera camera.json", "exists already"),
-        ("--write-camera camera.json --overwrite", "is another file of this command"),
+        ("--write-camera camera.json --overwrite", "is an input"),
+        (
+            "-o x.ply --record --write-camera x.record.json --overwrite",
+            "x.record.json: is another file of this command",
+        ),
     ],
 )
 def test_wrong_use_of_the_camera_options_is_refused_in_one_line(options, message, refine, folder):

@@ -22,8 +22,8 @@ from .batch_item import context_of, refine_command
 from .batch_page import INDEX, PICTURES
 from .option_files import parameter_of
 from .options import WORDS, FilePath
-from .refine_files import SUFFIX_OF
-from .refine_record import OF_RUN, WRITTEN, record_of
+from .refine_outputs import NAMED, OUTPUTS
+from .refine_record import OF_RUN, record_of
 from .refine_run import check_options
 
 # Options that a batch sets itself for each item.
@@ -35,9 +35,9 @@ OF_BATCH = {
 PARAMETERS = {parameter.name: parameter for parameter in refine_command.params}
 SWITCHES = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
 # Options that name another file to write.
-FLAGS = tuple(f"--{name.replace('_', '-')}" for name in WRITTEN)
+FLAGS = tuple(f"--{name.replace('_', '-')}" for name in NAMED)
 # The order in which the columns become arguments.
-ORDER = {**dict.fromkeys(WRITTEN, 1), "output": 2, "source": 3, "masks": 4}
+ORDER = {**dict.fromkeys(NAMED, 1), "output": 2, "source": 3, "masks": 4}
 
 
 class Column(NamedTuple):
@@ -76,7 +76,7 @@ def arguments_of(
         own = in_shard(record, shard)
         written = [(OUTPUT, record)] if own else []
         for column in columns:
-            if column.name in WRITTEN:
+            if column.name in NAMED:
                 written.append((column.title, _below(item, column.title, given[column.name])))
         _claim(item, written, places)
         if not own:
@@ -170,7 +170,7 @@ def _arguments(
             words += [column.flag] if _is_true(item, column, values) else []
             settings += words[-1:]
             continue
-        if column.name in WRITTEN:
+        if column.name in NAMED:
             values = [join(output, normpath(value)) for value in values]
             settings.append(splitext(values[0])[1])
         elif column.is_path:
@@ -263,10 +263,10 @@ def _check(item: Item, arguments: list[str], name: str) -> None:
         chosen = context_of(arguments).params
         with _at(OUTPUT):
             check_suffix(Path(name), _own_suffix(chosen["source"], chosen["mode"]))
-        for written, suffix in SUFFIX_OF.items():
+        for written in NAMED:
             if chosen[written] is not None:
                 with _at(written.replace("_", "-")):
-                    require_suffix(chosen[written], suffix)
+                    require_suffix(chosen[written], OUTPUTS[written].suffix)
         check_options(chosen)
     except click.UsageError as error:
         parameter = getattr(error, "param", None)

@@ -18,7 +18,8 @@ from ..io.output import atomic_output
 from . import options
 from .refine import command as refine_command
 from .refine_files import RefineInputs
-from .refine_record import WRITTEN, digest_of, key_of, record_of
+from .refine_outputs import NAMED
+from .refine_record import digest_of, key_of, record_of
 from .refine_run import RefineRun
 
 # Errors of a disk or network that may be over after a moment, and the seconds to wait before each
@@ -119,7 +120,7 @@ def _of_files(
         chosen.pop(name)
     # Files that are not of this batch were refused before; one of its own may be half of a result.
     chosen["overwrite"] = chosen["record"] = True
-    for name in ("output", *WRITTEN):
+    for name in ("output", *NAMED):
         if chosen[name] is not None:
             chosen[name].parent.mkdir(parents=True, exist_ok=True)
     with ctx, options.Warnings(quiet=True) as warned:

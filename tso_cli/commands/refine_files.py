@@ -1,39 +1,20 @@
-"""The files that `tso refine` reads and writes."""
+"""The files that `tso refine` reads."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..diagnosis.assumptions import INVERTED, assumptions_of
 from ..errors import InputError
-from ..geometry.arrays import Array, Pixels
 from ..geometry.depth_kind import DepthKind
-from ..io.cameras import CameraRecord, camera_text, find_camera, named_masks
-from ..io.clouds import NEW, check_suffix, write_cloud
+from ..io.cameras import find_camera, named_masks
 from ..io.masks import MaskChoice, masks_in
-from ..io.output import atomic_output, check_output
 from ..io.shipped import DEFAULT, named_checkpoint
 from ..io.views import ViewFiles
-from ..refinement import RefineResult
 from ..scene.load import Placing, Scene, load_points_scene
-from .options import FIT, WORDS, command_line, require_output
-
-if TYPE_CHECKING:
-    from ..plots.recording import Iterates
-    from .refine_report import RefineReport
-
-
-# What is written next to the result, by the name of its option.
-SUFFIX_OF = {
-    "overlay": ".png", "report": ".html", "rerun": ".rrd", "write_camera": ".json",
-    "write_transform": ".json",
-}  # fmt: skip
+from .options import FIT, WORDS
 
 
 @dataclass
@@ -246,138 +227,3 @@ class RefineInputs(InputOptions):
         return load_network_scene(
             self.source, files, self.checkpoint, self.invert_mask, self.frame == "world", place
         )
-
-
-@dataclass(frozen=True)
-class RefineOutputs:
-    """What is written."""
-
-    output: Path
-    own_suffix: str  # of the input, if it is written again with other points
-    overlay: Path | None
-    report: Path | None
-    rerun: Path | None
-    record: Path | None
-    write_camera: Path | None
-    write_transform: Path | None
-    point_confidence: bool
-    crop: bool
-    overwrite: bool
-
-    def check(self, inputs: list[Path]) -> None:
-        """InputError for an output that cannot be written or would replace another file."""
-        check_suffix(self.output, self.own_suffix)
-        if self.point_confidence and self.output.suffix.lower() != ".ply":
-            raise InputError(
-                f"{self.output}: the suffix is {self.output.suffix!a}, expected .ply to hold "
-                f"--point-confidence; write another file: -o {self.output.stem}.ply"
-            )
-        if self.crop and self.output.suffix.lower() not in NEW:
-            raise InputError(
-                f"{self.output}: the suffix is {self.output.suffix!a}, expected {' or '.join(NEW)} "
-                f"for --crop; write another file: -o {self.output.stem}.ply"
-            )
-        check_output(self.output, self.overwrite)
-        for name in ("overlay", "report", "rerun"):
-            file = getattr(self, name)
-            if file is None:
-                continue
-            require_output(file, SUFFIX_OF[name], self.overwrite)
-            if file.resolve() in [path.resolve() for path in inputs]:
-                raise InputError(f"{file}: is an input, expected another name for --{name}")
-        if self.record is not None:
-            check_output(self.record, self.overwrite)
-            if self.record.resolve() in [path.resolve() for path in inputs]:
-                raise InputError(f"{self.record}: is an input, expected another name for -o")
-        others = [*inputs, self.output, *([self.overlay] if self.overlay else [])]
-        for name in ("write_camera", "write_transform"):
-            file = getattr(self, name)
-            if file is None:
-                continue
-            require_output(file, SUFFIX_OF[name], self.overwrite)
-            if file.resolve() in [path.resolve() for path in others]:
-                raise InputError(
-                    f"{file}: is another file of this command, expected another name for "
-                    f"--{name.replace('_', '-')}"
-                )
-            others.append(file)
-
-    def recorder(self) -> Iterates | None:
-        """What keeps the steps for --rerun; fails at once where rerun is not installed."""
-        if self.rerun is None:
-            return None
-        import rerun  # noqa: F401
-
-        from ..plots.recording import Iterates
-
-        return Iterates()
-
-    def write(
-        self,
-        result: RefineResult,
-        scene: Scene,
-        inputs: RefineInputs,
-        report: Callable[[], tuple[RefineReport, list[str]]],
-        iterates: Iterates | None,
-    ) -> None:
-        """Write all files, or none: the others take their names once the cloud is written.
-
-        ``report`` makes what page and record say, and the warnings. ``iterates`` are for --rerun.
-        """
-        photos: list[Pixels | None] = []
-        if self.overlay or self.report or self.rerun:
-            from ..scene.photos import photos_of
-
-            photos = photos_of(scene, inputs.view_files, inputs.fit)
-        with ExitStack() as stack:
-            if self.overlay is not None:
-                from ..plots.overlay import draw_overlay
-
-                picture = stack.enter_context(atomic_output(self.overlay, self.overwrite))
-                draw_overlay(picture, result, scene.views, photos)
-            if self.report is not None:
-                from ..plots.page import write_page
-
-                page = stack.enter_context(atomic_output(self.report, self.overwrite))
-                of_run, warned = report()
-                write_page(page, result, scene, photos, of_run.page(warned, command_line()))
-            if self.rerun is not None and iterates is not None:
-                from ..plots.recording import write_recording
-
-                recording = stack.enter_context(atomic_output(self.rerun, self.overwrite))
-                lines = report()[0].summary()
-                write_recording(recording, result, scene, photos, iterates, lines)
-            if self.record is not None:
-                of_run, warned = report()
-                temporary = stack.enter_context(atomic_output(self.record, self.overwrite))
-                text = of_run.record(warned, command_line())
-                temporary.write_text(text, encoding="utf-8")
-            if self.write_camera is not None:
-                records = [
-                    CameraRecord(camera, mask)
-                    for camera, mask in zip(result.cameras, inputs.masks, strict=True)
-                ]
-                temporary = stack.enter_context(atomic_output(self.write_camera, self.overwrite))
-                temporary.write_text(camera_text(self.write_camera, records), encoding="utf-8")
-            if self.write_transform is not None:
-                temporary = stack.enter_context(atomic_output(self.write_transform, self.overwrite))
-                temporary.write_text(transform_text(result.move.matrix), encoding="utf-8")
-            self.check([])  # before the first of them takes its name
-            write_cloud(
-                self.output,
-                scene.to_output(result.points),
-                like=scene.file,
-                overwrite=self.overwrite,
-                matrix=result.move.matrix,
-                confidence=result.point_confidence,
-                kept=~result.outliers if self.crop and result.outliers.any() else None,
-            )
-
-
-def transform_text(matrix: Array) -> str:
-    """The 4x4 matrix that a cloud moved by as one, as JSON."""
-    document = {
-        "matrix": matrix.tolist(),
-        "convention": "x' = matrix x, for columns x = (x, y, z, 1) in the units of the cloud",
-    }
-    return json.dumps(document, indent=2) + "\n"

@@ -20,14 +20,14 @@ from ..io.reading import plain, shown
 from ..version import __version__
 from . import options
 from .option_files import read_options, set_defaults
+from .refine_outputs import OUTPUTS
 
 SCHEMA = 1
 """Version of the form of records."""
 EXPECTED = "a record of --record, or a .toml or .json file of options"
 # Options that say where results go, whether, or what is printed: they do not change a result.
-WRITTEN = ("overlay", "report", "rerun", "write_camera", "write_transform")
 OF_RUN = ("record", "overwrite", "check", "quiet", "verbose", "as_json")
-OF_OUTPUT = ("output", "strict", *WRITTEN, *OF_RUN)
+OF_OUTPUT = ("output", "strict", *OUTPUTS, *OF_RUN)
 
 
 def record_of(result: str) -> str:

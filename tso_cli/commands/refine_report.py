@@ -20,7 +20,8 @@ from ..scene.load import Scene
 from ..version import __version__
 from . import options
 from .refine_check import camera_document, verdict_document
-from .refine_files import RefineInputs, RefineOutputs
+from .refine_files import RefineInputs
+from .refine_outputs import OUTPUTS, RefineOutputs
 from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, shown, why_unmoved
 from .sentences_of_moves import (
     alternatives_of,
@@ -118,11 +119,10 @@ class RefineReport:
             "assume": list(self.inputs.assume),
             "inputs": self.inputs.files,
             "options": self.given,
-            "output": self.outputs.output if written else None,
-            "overlay": self.outputs.overlay if written else None,
-            "report": self.outputs.report if written else None,
-            "rerun": self.outputs.rerun if written else None,
-            "record": self.outputs.record if written else None,
+            **{
+                name: getattr(self.outputs, name) if written else None
+                for name in ("output", "overlay", "report", "rerun", "record")
+            },
             "camera": views[0]["camera"],
             "views": views,
             "frame": self.scene.frame,
@@ -243,14 +243,9 @@ class RefineReport:
         """`summary` and the other files."""
         for name, text in self.summary().items():
             click.echo(f"  {name:7}{text}" if name else text)
-        for path, content in (
-            (self.outputs.overlay, "picture"),
-            (self.outputs.report, "page"),
-            (self.outputs.write_camera, "camera"),
-            (self.outputs.write_transform, "transform"),
-        ):
-            if path is not None:
-                click.echo(f"{path}: {content}")
+        for name, path in self.outputs.others.items():
+            if word := OUTPUTS[name].word:
+                click.echo(f"{path}: {word}")
 
     def _written(self) -> int:
         outliers = int(self.result.outliers.sum()) if self.outputs.crop else 0

@@ -6,6 +6,7 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from ..io.reading import require_memory
 from ..refinement import RefineConfig, RefineResult, refine
 from . import options
 from .refine_check import check_scene
-from .refine_files import InputOptions, RefineInputs, RefineOutputs
+from .refine_files import InputOptions, RefineInputs
+from .refine_outputs import Finished, RefineOutputs
 from .refine_record import record_of
 from .refine_report import RefineReport
 from .sentences import Words
@@ -130,13 +132,10 @@ class RefineRun:
         writing = time.perf_counter()
         refused = self._strict and result.trust.verdict in ("doubtful", None)
         if not refused:
-            self._outputs.write(
-                result,
-                self._scene,
-                self._inputs,
-                lambda: self._words_so_far(result, {"read": read, **result.cost.seconds}),
-                self._iterates,
-            )
+            seconds = {"read": read, **result.cost.seconds}
+            report = partial(self._words_so_far, result, seconds)
+            run = Finished(result, self._scene, self._inputs, report, self._iterates)
+            self._outputs.write(run)
         finished = time.perf_counter()
         for text in self._words.warnings(result, refused):
             warnings.warn(text, stacklevel=1)
