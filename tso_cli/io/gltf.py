@@ -1,13 +1,12 @@
 """glTF and GLB: the vertices of a scene, and the file again with these vertices moved.
 
 POSITION is replaced in place, and NORMAL and TANGENT are turned with the whole scene and with the
-surface. Every other byte of the file stays, except the bounds that glTF states of POSITION.
+surface. Every other value of the file stays, except the bounds that glTF states of POSITION.
 """
 
 from __future__ import annotations
 
 import base64
-import binascii
 import json
 import re
 import struct
@@ -23,20 +22,22 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.normals import rigid_turn, same_places, turned_normals
-from .checked import Checked, kind
+from .checked import Checked
 from .gltf_scene import (
     COMPONENTS,
     MAGIC,
+    WHOLE_SCENE,
     WIDTHS,
     document_of,
+    entry,
     glb_of,
     memory_of,
     objects_of,
     places_of,
     scene_text,
-    with_bounds,
-    with_uri,
+    whole,
 )
+from .guard import reading
 from .movable import MovableFile
 from .paint import Paint, refuse
 from .reading import plain, read_bytes, require_memory
@@ -131,27 +132,26 @@ class GltfFile(Checked, MovableFile):
         self.suffix = ".glb" if data[:4] == MAGIC else ".gltf"
         self._text, binary = scene_text(data, path)
         self._document = document_of(self._text, path)
-        self._refuse_compression()
-        require_memory(path, memory_of(self._document))
-        self._buffers = [
-            self._buffer(number, buffer, binary)
-            for number, buffer in enumerate(objects_of(self, self._document, "buffers"))
-        ]
-        self._accessors = objects_of(self, self._document, "accessors")
-        self._views = objects_of(self, self._document, "bufferViews")
         self._parts: list[_Part] = []
         self._primitives: list[_Primitive] = []
         self._attributes: set[str] = set()  # of all primitives
-        self._collect()
+        with reading(self, WHOLE_SCENE):
+            self._refuse_compression()
+            require_memory(path, memory_of(self, self._document))
+            self._buffers = []
+            for number, buffer in enumerate(objects_of(self, self._document, "buffers")):
+                self.place = f"buffers[{number}]."
+                self._buffers.append(self._buffer(buffer, binary))
+            self.place = ""
+            self._accessors = objects_of(self, self._document, "accessors")
+            self._views = objects_of(self, self._document, "bufferViews")
+            self._collect()
         if not self._parts:
             raise InputError(f"{path}: holds no mesh, expected a scene with one")
 
     def _refuse_compression(self) -> None:
         for key in ("extensionsUsed", "extensionsRequired"):
-            extensions = self._document.get(key, [])
-            if not isinstance(extensions, list):
-                raise self.error(key, kind(extensions), "a list")
-            for extension in map(str, extensions):
+            for extension in map(str, self._document.get(key, [])):
                 if name := _COMPRESSED.get(extension):
                     raise InputError(
                         f"{self.path}: its meshes use {name}, which tso does not read; export it "
@@ -163,22 +163,17 @@ class GltfFile(Checked, MovableFile):
                         "not know, expected a scene without it; export it without this extension"
                     )
 
-    def _buffer(self, number: int, buffer: dict[str, Any], binary: bytes) -> bytes:
+    def _buffer(self, buffer: dict[str, Any], binary: bytes) -> bytes:
         uri = buffer.get("uri")
         if uri is None:
             return binary
-        if not isinstance(uri, str):
-            raise self.error(f"buffers[{number}].uri", kind(uri), "text")
         if uri[: len(_DATA)].lower() == _DATA:
-            try:
-                return base64.b64decode(uri.partition(",")[2], validate=True)
-            except (binascii.Error, ValueError):
-                raise self.error(f"buffers[{number}].uri", "not base64", "base64") from None
+            return base64.b64decode(uri.partition(",")[2], validate=True)
         name = unquote(uri)
         parts = Path(name.replace("\\", "/")).parts
         outside = "://" in name or ".." in parts or not parts or Path(*parts).is_absolute()
         if outside or max(len(part.encode("utf-8", "replace")) for part in parts) > _LONGEST_NAME:
-            raise self.error(f"buffers[{number}].uri", plain(name), "a file in the same folder")
+            raise self.error("uri", plain(name), "a file in the same folder")
         return read_bytes(
             self.path.parent / Path(*parts), f"the buffer that {self.path.name} names"
         )
@@ -190,24 +185,21 @@ class GltfFile(Checked, MovableFile):
         found: dict[tuple[int, int], _Part] = {}
         total = 0
         for number in self._shown(nodes):
+            self.place = f"nodes[{number}]."
             index = nodes[number].get("mesh")
             if index is None:
                 continue
-            if not isinstance(index, int) or not 0 <= index < len(meshes):
-                raise self.error(f"nodes[{number}].mesh", kind(index), "the index of a mesh")
+            mesh = entry(meshes, index)
             if "skin" in nodes[number]:
                 raise InputError(
                     f"{self.path}: a mesh is moved by a skeleton (skin), expected a static mesh; "
                     "apply the pose before you export it"
                 )
-            for primitive in objects_of(self, meshes[index], "primitives"):
-                attributes = primitive.get("attributes")
-                if not isinstance(attributes, dict) or "POSITION" not in attributes:
-                    raise self.error(f"meshes[{index}]", kind(attributes), "POSITION")
-                self._attributes |= attributes.keys()
+            self.place = f"meshes[{index}]."
+            for primitive in objects_of(self, mesh, "primitives"):
+                attributes = primitive["attributes"]
                 key = number, attributes["POSITION"]
-                if not isinstance(key[1], int):
-                    raise self.error(f"meshes[{index}].POSITION", kind(key[1]), "an index")
+                self._attributes |= attributes.keys()
                 for name in ("NORMAL", "TANGENT"):
                     if name in attributes:
                         self._layout(attributes[name], ("VEC3", "VEC4"))
@@ -221,26 +213,23 @@ class GltfFile(Checked, MovableFile):
                     found[key] = _Part(number, key[1], places[number], total, count)
                     total += count
                 self._primitives.append(self._primitive(found[key], primitive, attributes))
+        self.place = ""
         self._parts = list(found.values())
 
     def _shown(self, nodes: list[dict[str, Any]]) -> list[int]:
         """The nodes of the default scene, in the order of the file."""
         scenes = objects_of(self, self._document, "scenes")
         index = self._document.get("scene", 0)
-        if not scenes or not isinstance(index, int) or not 0 <= index < len(scenes):
+        if index not in range(len(scenes)):
             return list(range(len(nodes)))
-        roots = scenes[index].get("nodes", [])
-        if not isinstance(roots, list):
-            raise self.error(f"scenes[{index}].nodes", kind(roots), "a list of nodes")
-        open_, reached = list(roots), set()
+        self.place = f"scenes[{index}]."
+        open_, reached = list(scenes[index].get("nodes", [])), set()
         while open_:
-            node = open_.pop()
-            if not isinstance(node, int) or not 0 <= node < len(nodes):
-                raise self.error(f"scenes[{index}].nodes", kind(node), "the index of a node")
-            if node not in reached:
-                reached.add(node)
-                children = nodes[node].get("children", [])
-                open_ += children if isinstance(children, list) else [children]
+            number = open_.pop()
+            node = entry(nodes, number)
+            if number not in reached:
+                reached.add(number)
+                open_ += node.get("children", [])
         return sorted(reached)
 
     def _primitive(
@@ -291,52 +280,30 @@ class GltfFile(Checked, MovableFile):
         self, number: Any, types: tuple[str, ...]
     ) -> tuple[int, int, np.dtype[Any], int, int, int]:
         """Buffer, offset, type, count, width and stride of an accessor."""
-        if not isinstance(number, int) or not 0 <= number < len(self._accessors):
-            raise self.error("an accessor", kind(number), "the index of an accessor")
-        accessor, where = self._accessors[number], f"accessors[{number}]"
+        accessor = entry(self._accessors, number)
+        self.place = f"accessors[{number}]."
         if "sparse" in accessor:
-            raise self.error(where, "sparse", "values without sparse storage; export it again")
-        form, component = accessor.get("type"), accessor.get("componentType")
-        known = COMPONENTS.get(component) if isinstance(component, int) else None
-        if not isinstance(form, str) or form not in types or known is None:
-            name = plain(form) if isinstance(form, str) else kind(form)
-            *most, last = COMPONENTS
-            components = f"{', '.join(map(str, most))} or {last}"
-            wanted = f"{' or '.join(types)} of component type {components}"
-            raise self.error(where, f"{name} of component type {kind(component)}", wanted)
-        view_number = accessor.get("bufferView")
-        if not isinstance(view_number, int) or not 0 <= view_number < len(self._views):
-            raise self.error(f"{where}.bufferView", kind(view_number), "the index of a view")
-        view = self._views[view_number]
-        dtype, width = np.dtype(known), WIDTHS[form]
-        numbers = [
-            (view.get("buffer", 0), f"bufferViews[{view_number}].buffer"),
-            (view.get("byteOffset", 0), f"bufferViews[{view_number}].byteOffset"),
-            (view.get("byteStride", 0), f"bufferViews[{view_number}].byteStride"),
-            (view.get("byteLength", 0), f"bufferViews[{view_number}].byteLength"),
-            (accessor.get("byteOffset", 0), f"{where}.byteOffset"),
-            (accessor.get("count", 0), f"{where}.count"),
-        ]
-        for value, place in numbers:
-            if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-                raise self.error(place, kind(value), "a whole number, 0 or more")
-        buffer, begin, stride, length, offset, count = (value for value, _ in numbers)
+            raise self.error("sparse", "there", "values without sparse storage; export it again")
+        form, component = accessor["type"], accessor["componentType"]
+        if form not in types:
+            raise self.error("type", plain(str(form)), " or ".join(types))
+        dtype, width = np.dtype(COMPONENTS[component]), WIDTHS[form]
+        view = entry(self._views, accessor["bufferView"])
+        buffer, begin, stride, length = (
+            whole(view.get(key, 0)) for key in ("buffer", "byteOffset", "byteStride", "byteLength")
+        )
+        offset, count = (whole(accessor.get(key, 0)) for key in ("byteOffset", "count"))
         stride = stride or width * dtype.itemsize
         end = offset + (count - 1) * stride + width * dtype.itemsize if count else offset
-        if buffer >= len(self._buffers):
-            wanted = f"one of the {len(self._buffers)} buffers, from 0"
-            raise self.error(f"bufferViews[{view_number}].buffer", buffer, wanted)
-        size = len(self._buffers[buffer])
+        size = len(entry(self._buffers, buffer))
         if begin + length > size:
             raise self.error(
-                f"bufferViews[{view_number}]",
+                "bufferView",
                 f"bytes {begin:.15g} to {begin + length:.15g} of buffer {buffer}",
                 f"a part of its {size:,} bytes; the buffer ends early or the scene is damaged",
             )
         if count == 0 or end > length:
-            raise self.error(
-                f"{where}.count", f"{count:.15g}", "1 or more, as many as its view holds"
-            )
+            raise self.error("count", f"{count:.15g}", "1 or more, as many as its view holds")
         return buffer, begin + offset, dtype, count, width, stride
 
     def read(self) -> Array:
@@ -571,17 +538,18 @@ class GltfFile(Checked, MovableFile):
     def _assembled(
         self, buffers: list[bytearray], bounds: dict[int, tuple[list[float], list[float]]]
     ) -> bytes:
-        text = with_bounds(self._text, bounds)
-        documents = objects_of(self, self._document, "buffers")
+        document = document_of(self._text, self.path)
+        for number, (low, high) in bounds.items():
+            accessor = document["accessors"][number]
+            accessor.update({k: v for k, v in (("min", low), ("max", high)) if k in accessor})
+        documents = document.get("buffers", [])
         for number, buffer in enumerate(documents):
-            uri = buffer.get("uri")
-            if uri is None or buffers[number] == self._buffers[number]:
-                continue
-            inline = base64.b64encode(buffers[number]).decode()
-            encoded = json.dumps(f"{_DATA}application/octet-stream;base64,{inline}")
-            text = with_uri(text, number, encoded)
+            if "uri" in buffer and buffers[number] != self._buffers[number]:
+                inline = base64.b64encode(buffers[number]).decode()
+                buffer["uri"] = f"{_DATA}application/octet-stream;base64,{inline}"
         if self.suffix == ".gltf":
-            return text.encode()
+            return (json.dumps(document, indent=2) + "\n").encode()
+        text = json.dumps(document, separators=(",", ":"))
         length = struct.unpack_from("<I", self.data, 12)[0]
         rest = self.data[20 + length :]  # the binary chunk, and any others
         own = next((i for i, one in enumerate(documents) if "uri" not in one), None)

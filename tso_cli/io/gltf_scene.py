@@ -1,12 +1,12 @@
-"""The JSON of a glTF or GLB scene: its nodes, their places, and changes of a few of its values."""
+"""The JSON of a glTF or GLB scene: its nodes and their places."""
 
 from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -17,8 +17,10 @@ from .checked import Checked, kind
 from .output import reason
 from .reading import json_reason
 
+T = TypeVar("T")
 MAGIC, JSON_CHUNK, BINARY_CHUNK = b"glTF", b"JSON", b"BIN\0"
 MOST_NODES = 100_000
+WHOLE_SCENE = "a scene as glTF 2.0 has it; export it again"
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # What a reader takes of a node's own copy of a mesh, in bytes.
@@ -68,40 +70,43 @@ def objects_of(checked: Checked, document: dict[str, Any], key: str) -> list[dic
     return values
 
 
-def memory_of(document: dict[str, Any]) -> int:
+def entry(values: Sequence[T], index: Any) -> T:
+    """The value that a scene names by its ``index``; a ValueError without one."""
+    if type(index) is not int or not 0 <= index < len(values):
+        raise ValueError(f"{kind(index)} where an index belongs, under {len(values)}")
+    return values[index]
+
+
+def whole(value: Any) -> int:
+    """``value`` if it is a whole number, 0 or more; a ValueError otherwise."""
+    if type(value) is not int or value < 0:
+        raise ValueError(f"{kind(value)} where a whole number belongs, 0 or more")
+    return value
+
+
+def memory_of(checked: Checked, document: dict[str, Any]) -> int:
     """About how many bytes the meshes of a scene take; each node has its own copy.
 
     A few bytes of a file can stand for many: an accessor need not hold its values, and many nodes
-    can show one mesh. What is damaged counts as nothing; its reader says so.
+    can show one mesh.
     """
 
-    def listed(of: dict[str, Any], key: str) -> list[dict[str, Any]]:
-        values = of.get(key)
-        values = values if isinstance(values, list) else []
-        return [value if isinstance(value, dict) else {} for value in values]
-
-    def at(index: Any, values: list[int]) -> int:
-        known = isinstance(index, int) and 0 <= index < len(values)
-        return values[index] if known else 0
-
     counts, stored = [], 0
-    for accessor in listed(document, "accessors"):
-        count = accessor.get("count")
-        counts.append(max(count, 0) if isinstance(count, int) else 0)
-        form, component = accessor.get("type"), accessor.get("componentType")
-        if isinstance(form, str) and isinstance(component, int):
-            size = np.dtype(COMPONENTS.get(component, "i1")).itemsize
-            stored += counts[-1] * WIDTHS.get(form, 0) * size
+    for number, accessor in enumerate(document.get("accessors", [])):
+        checked.place = f"accessors[{number}]."
+        counts.append(whole(accessor.get("count", 0)))
+        size = np.dtype(COMPONENTS[accessor["componentType"]]).itemsize
+        stored += counts[-1] * WIDTHS[accessor["type"]] * size
     meshes = []
-    for mesh in listed(document, "meshes"):
+    for number, mesh in enumerate(document.get("meshes", [])):
+        checked.place = f"meshes[{number}]."
         meshes.append(0)
-        for primitive in listed(mesh, "primitives"):
-            attributes = primitive.get("attributes")
-            position = attributes.get("POSITION") if isinstance(attributes, dict) else None
-            vertices = at(position, counts)
-            corners = at(primitive["indices"], counts) if "indices" in primitive else vertices
+        for primitive in mesh["primitives"]:
+            vertices = entry(counts, primitive["attributes"]["POSITION"])
+            corners = entry(counts, primitive.get("indices", primitive["attributes"]["POSITION"]))
             meshes[-1] += _BYTES_PER_VERTEX * vertices + _BYTES_PER_CORNER * corners
-    return stored + sum(at(node.get("mesh"), meshes) for node in listed(document, "nodes"))
+    nodes, checked.place = document.get("nodes", []), ""
+    return stored + sum(entry(meshes, node["mesh"]) for node in nodes if "mesh" in node)
 
 
 def with_base_colours(data: bytes) -> bytes:
@@ -151,9 +156,8 @@ def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:
     """The matrix [4, 4] of each node to the world."""
     parent: dict[int, int] = {}
     for number, node in enumerate(nodes):
-        children = node.get("children", [])
-        for child in children if isinstance(children, list) else [children]:
-            if not isinstance(child, int) or not 0 <= child < len(nodes) or child in parent:
+        for child in node.get("children", []):
+            if child not in range(len(nodes)) or child in parent:
                 raise checked.error(f"nodes[{number}].children", kind(child), "other nodes, once")
             parent[child] = number
     local = [_local(checked, number, node) for number, node in enumerate(nodes)]
@@ -188,56 +192,3 @@ def _local(checked: Checked, number: int, node: dict[str, Any]) -> Array:
     matrix[:3, :3] *= checked.matrix(f"{where}.scale", node.get("scale", [1, 1, 1]), (3,))
     matrix[:3, 3] = checked.matrix(f"{where}.translation", node.get("translation", [0, 0, 0]), (3,))
     return matrix
-
-
-def _values_in(text: str, at: int) -> Iterator[tuple[str | int, int, int]]:
-    """The members of the object or list that begins at ``text[at]``: key, begin and end."""
-    decoder = json.JSONDecoder()
-
-    def skip(place: int) -> int:
-        while text[place] in " \t\r\n":
-            place += 1
-        return place
-
-    is_object = text[at] == "{"
-    at, number = skip(at + 1), 0
-    while text[at] not in "}]":
-        key: str | int = number
-        if is_object:
-            key, at = decoder.raw_decode(text, at)
-            at = skip(skip(at) + 1)
-        _, end = decoder.raw_decode(text, at)
-        yield key, at, end
-        at, number = skip(end), number + 1
-        if text[at] == ",":
-            at = skip(at + 1)
-
-
-def _member(text: str, at: int, key: str | int) -> tuple[int, int] | None:
-    return next(((begin, end) for name, begin, end in _values_in(text, at) if name == key), None)
-
-
-def with_bounds(text: str, bounds: dict[int, tuple[list[float], list[float]]]) -> str:
-    """The JSON ``text`` of a scene with other ``min`` and ``max`` of these accessors."""
-    listed = _member(text, text.index("{"), "accessors")
-    assert listed is not None
-    changes = []
-    for number, begin, _ in _values_in(text, listed[0]):
-        if number not in bounds:
-            continue
-        for name, values in zip(("min", "max"), bounds[int(number)], strict=True):
-            if place := _member(text, begin, name):
-                changes.append((*place, json.dumps(values)))
-    for begin, end, new in sorted(changes, reverse=True):
-        text = text[:begin] + new + text[end:]
-    return text
-
-
-def with_uri(text: str, number: int, encoded: str) -> str:
-    listed = _member(text, text.index("{"), "buffers")
-    assert listed is not None
-    of_buffer = _member(text, listed[0], number)
-    assert of_buffer is not None
-    place = _member(text, of_buffer[0], "uri")
-    assert place is not None
-    return text[: place[0]] + encoded + text[place[1] :]

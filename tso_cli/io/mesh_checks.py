@@ -8,7 +8,8 @@ from pathlib import Path
 
 from ..errors import InputError
 from .checked import Checked
-from .gltf_scene import document_of, memory_of, objects_of, scene_text
+from .gltf_scene import WHOLE_SCENE, document_of, memory_of, objects_of, scene_text
+from .guard import reading
 from .ply_body import BinaryBody, TextBody
 from .ply_header import parse_header
 from .reading import require_memory, shown
@@ -66,7 +67,8 @@ def check_glb(content: bytes, path: Path) -> None:
                 "without values (it has no bufferView)",
                 "some; export it again, without compression",
             )
-    require_memory(path, memory_of(document))
+    with reading(checked, WHOLE_SCENE):
+        require_memory(path, memory_of(checked, document))
 
 
 def check_ply(content: bytes, path: Path) -> None:
