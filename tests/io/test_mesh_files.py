@@ -260,7 +260,7 @@ def test_a_gltf_keeps_its_textures_and_gets_its_moved_buffer_inside(tmp_path):
         ),
         ({"buffers": [{"uri": "a" * 5000}]}, r"uri is 'aaa.*\.\.\., expected a file in the same"),
         (
-            {"accessors": [{"type": "VEC3", "componentType": 5126, "count": 10**400}]},
+            {"accessors": [{"type": "VEC3", "componentType": 5126, "count": 10**400}] * 9},
             r"cannot be read \(.*too large",
         ),
         ({"bufferViews": []}, "where an index belongs, under"),
