@@ -30,8 +30,7 @@ MOST_VALUES = 64
 # A label is a value with areas of its own: at least this share of its pixels has four neighbours
 # of the same value. The soft edge of a mask has hardly any such pixels.
 SOLID = 0.3
-# In a file with losses, values this close to black and white are black and white.
-LOSSES = 8
+# Formats whose losses change the values of labels.
 LOSSY = ("JPEG", "WEBP")
 MOST_LISTED = 9
 # Files of a folder that are taken for masks; a .json there may be a camera file.
@@ -48,8 +47,6 @@ _NO_MASKS = (
 )  # fmt: skip
 # How far beyond 0 and 1 interpolation may bring the values of a mask.
 UNDERSHOOT = 0.2
-# The background of a photo is plain if this share of its border is this close to one colour.
-PLAIN, PLAIN_SHARE = 12, 0.97
 # What the array of masks is called in a file with several arrays, and that of their scores.
 MASK_NAMES = ("masks", "mask", "segmentation", "alpha", "pred")
 SCORE_NAMES = ("scores", "iou_predictions")
@@ -151,8 +148,6 @@ def _refuse_index(path: Path, choice: MaskChoice) -> None:
 
 def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
     """The values of `read_mask` [H, W]: bool, uint8, uint16 or float."""
-    from PIL import ImageChops
-
     transparency = "transparency" in image.info and image.mode in ("P", "L", "RGB")
     if transparency or image.mode in WITH_ALPHA:
         with_channel = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
@@ -161,12 +156,20 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
         # slightly transparent everywhere.
         if label is None and np.count_nonzero(alpha < 128) >= 1e-3 * alpha.size:
             return alpha
-    lossy = image.format in LOSSY
+    if image.format in LOSSY:
+        if label is not None:
+            raise InputError(
+                f"{path}: is a {image.format} file, whose losses change labels, expected a .png "
+                "for `label`"
+            )
+        brightness = _brightness(image)
+        _refuse_photo(brightness, path)
+        return brightness
     if image.mode == "P":
         index = np.asarray(image)
         if _is_grey(image):
             grey = np.asarray(image.convert("L"))
-            return _chosen(grey, grey, path, label, lossy)
+            return _chosen(grey, grey, path, label)
         colours = np.array(image.getpalette("RGB") or [0] * 768).reshape(-1, 3)
         black = np.flatnonzero((colours == 0).all(1))
         if index.size and 0 not in black and len(black) and (index == black[0]).any():
@@ -174,58 +177,44 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
             order = np.arange(256, dtype=np.uint8)
             order[0], order[black[0]] = black[0], 0
             index = order[index]
-        return _chosen(index, index != 0, path, label, lossy)
+        return _chosen(index, index != 0, path, label)
     if image.mode in ("1", "L", "F", "I") or image.mode.startswith("I;16"):
         grey = grey_values(image, path)
         if grey.dtype.kind in "bf":
             return grey
-        chosen = _chosen(grey, grey, path, label, lossy)
-        if chosen is not grey or grey.dtype != np.uint8 or not _is_bright_around(grey):
-            return chosen
+        chosen = _chosen(grey, grey, path, label)
         # A map of probabilities is dark around the object; a photo may have a white background.
-        return _of_photo(grey, (image, image, image), path)
-    bands = image.convert("RGB").split()
-    brightness = np.asarray(functools.reduce(ImageChops.lighter, bands))
-    red, green, blue = (np.asarray(band) for band in bands)
+        if chosen is grey and grey.dtype == np.uint8 and np.median(_border(grey)) > 127:
+            _refuse_photo(grey, path)
+        return chosen
+    brightness = _brightness(image)
+    red, green, blue = np.moveaxis(np.asarray(image.convert("RGB")), 2, 0)
     if np.array_equal(red, green) and np.array_equal(green, blue):
-        chosen = _chosen(red, red, path, label, lossy)
-        # A map of probabilities has one channel; a picture in colours may be a grey photo.
-        return chosen if chosen is not red else _of_photo(brightness, bands, path)
-    if lossy and label is None:
-        return _of_photo(brightness, bands, path)
-    codes = red.astype(np.uint32) << 16 | green.astype(np.uint32) << 8 | blue
-    chosen = _chosen(codes, brightness, path, label, lossy, colours=True)
-    return chosen if chosen is not brightness else _of_photo(brightness, bands, path)
+        chosen = _chosen(red, brightness, path, label)
+    else:
+        codes = red.astype(np.uint32) << 16 | green.astype(np.uint32) << 8 | blue
+        chosen = _chosen(codes, brightness, path, label, colours=True)
+    # A map of probabilities has one channel; a picture in colours may be a photo.
+    if chosen is brightness:
+        _refuse_photo(brightness, path)
+    return chosen
 
 
-def _of_photo(
-    brightness: NDArray[np.uint8], bands: tuple[Image.Image, ...], path: Path
-) -> NDArray[Any]:
-    """The mask of a picture in colours: its brightness, or the object of a photo.
+def _brightness(image: Image.Image) -> NDArray[np.uint8]:
+    """The largest channel [H, W] of a picture."""
+    largest: NDArray[np.uint8] = np.asarray(image.convert("RGB")).max(2)
+    return largest
 
-    A photo is grey over large parts. If its border has one colour, the object is what differs from
-    this colour. Raises InputError for other photos.
-    """
+
+def _refuse_photo(brightness: NDArray[np.uint8], path: Path) -> None:
+    """Raise InputError for a picture that is grey over large parts."""
     values = brightness.astype(np.float32) / np.float32(255.0)
-    if not is_grey_inside(values, values > 0.5, np.ones(values.shape, bool)):
-        return brightness
-    border = np.stack([_border(np.asarray(band)) for band in bands], 1).astype(np.int16)
-    colour = np.median(border, 0)
-    plain_border = (np.abs(border - colour).max(1) <= PLAIN).mean() >= PLAIN_SHARE
-    if not plain_border:
+    if is_grey_inside(values, values > 0.5, np.ones(values.shape, bool)):
         raise InputError(
             f"{path}: is a photo, grey over large parts, expected a mask; segment the object first "
-            "(rembg, SAM), or give a picture with a transparent or plain background"
+            "(rembg, SAM), or give a picture with a transparent background; labels belong into "
+            ".png files"
         )
-    differs = np.zeros(brightness.shape, bool)
-    for band, value in zip(bands, colour.tolist(), strict=True):
-        differs |= np.abs(np.asarray(band).astype(np.int16) - value) > PLAIN
-    shown_colour = ",".join(str(int(value)) for value in colour)
-    warnings.warn(
-        f"is a photo on a plain background ({shown_colour}), the mask is what differs",
-        stacklevel=5,
-    )
-    return differs
 
 
 def _is_grey(image: Image.Image) -> bool:
@@ -240,14 +229,17 @@ def _is_grey(image: Image.Image) -> bool:
 
 
 def _chosen(
-    codes: NDArray[Any], otherwise: NDArray[Any], path: Path, label: str | None, lossy: bool,
+    codes: NDArray[Any],
+    otherwise: NDArray[Any],
+    path: Path,
+    label: str | None,
     colours: bool = False,
-) -> NDArray[Any]:  # fmt: skip
+) -> NDArray[Any]:
     """The pixels of one label of ``codes`` [H, W]; ``otherwise`` if there are no labels.
 
     Raises InputError if there are several and none is chosen, or the chosen one is not there.
     """
-    found = labels_of(codes, lossy)
+    found = labels_of(codes)
     if label is not None:
         code = _code(label, colours)
         if code not in found:
@@ -273,13 +265,6 @@ def _chosen(
 def _border(values: NDArray[Any]) -> NDArray[Any]:
     """The pixels along the border of [H, W]."""
     return np.concatenate([values[0], values[-1], values[:, 0], values[:, -1]])
-
-
-def _is_bright_around(grey: NDArray[np.uint8]) -> bool:
-    """Whether a picture has one bright grey along its border."""
-    border = _border(grey).astype(np.int16)
-    value = np.median(border)
-    return bool(value > 127 and (np.abs(border - value) <= PLAIN).mean() >= PLAIN_SHARE)
 
 
 def _next_to(pixels: Bits) -> Bits:
@@ -321,7 +306,7 @@ def _which(path: Path, found: dict[int, int], colours: bool, what: str) -> Input
     )
 
 
-def labels_of(codes: NDArray[Any], lossy: bool = False) -> dict[int, int]:
+def labels_of(codes: NDArray[Any]) -> dict[int, int]:
     """The labels in ``codes`` [H, W] and their pixels, without the background.
 
     A label is a value with areas of its own (`SOLID`). The background is 0; without any 0, it is
@@ -338,9 +323,6 @@ def labels_of(codes: NDArray[Any], lossy: bool = False) -> dict[int, int]:
         values, sizes = np.unique(codes, return_counts=True)
     if len(values) > MOST_VALUES:
         return {}
-    if lossy:
-        values = values[(values > LOSSES) & (values < 255 - LOSSES)]
-        sizes = np.array([np.count_nonzero(codes == value) for value in values])
     middle = codes[1:-1, 1:-1]
     same = (middle == codes[:-2, 1:-1]) & (middle == codes[2:, 1:-1])
     same &= (middle == codes[1:-1, :-2]) & (middle == codes[1:-1, 2:])
@@ -352,28 +334,7 @@ def labels_of(codes: NDArray[Any], lossy: bool = False) -> dict[int, int]:
         edge, many = np.unique(border, return_counts=True)
         background = int(edge[many.argmax()])
     solid.pop(background, None)
-    if lossy:
-        return _apart(solid, background)
     return solid
-
-
-def _apart(solid: dict[int, int], background: int) -> dict[int, int]:
-    """The labels of a file with losses: of values close to each other the one of most pixels.
-
-    A photo has many shades, and no label.
-    """
-    labels: dict[int, int] = {}
-    group: list[int] = []
-    for value in [*sorted({*solid, background}), 2 << 24]:  # more than any colour
-        if group and value - group[-1] > LOSSES:
-            if group[-1] - group[0] > 2 * LOSSES:
-                return {}
-            if background not in group:
-                most = max(group, key=lambda one: solid[one])
-                labels[most] = sum(solid[one] for one in group)
-            group = []
-        group.append(value)
-    return labels
 
 
 def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
@@ -418,7 +379,7 @@ def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
     if array.dtype.kind in "iu" and int(array.min()) >= 0:
         # Of arrays, 255 is white whatever the type says.
         codes = array.astype(np.uint8) if int(array.max()) <= 255 else array
-        chosen = _chosen(codes, codes, path, choice.label, False)
+        chosen = _chosen(codes, codes, path, choice.label)
         return to_unit(array if chosen is codes else chosen, path)
     return to_unit(array, path)
 
