@@ -3,9 +3,10 @@
 python -m tests.pinned_options options.json            writes them
 python -m tests.pinned_options options.json --check    compares with those, names what differs
 
-Every option of the commands stands in lines of its own, with values that fit and values that do not,
-and every two options of `tso refine` stand together once. The file is made before a change of the
-code, and thrown away after it. Words may change; what is refused, and what a run is called, may not.
+Every option of the commands stands in lines of its own, with values that fit and values that do
+not, and every two options of `tso refine` stand together once. The file is made before a change of
+the code, and thrown away after it. Words may change. What is refused, and what a run is called,
+may not.
 """
 
 import itertools
