@@ -388,9 +388,9 @@ BAD = {
     "no mask given": ("", "initial.ply", "MASK"),
     "unknown device": ("", "POINTS --device warp", "warp"),
     "ignore map of another size": (
-        "resize:image.png",
-        "POINTS --ignore image.png",
-        "image.png 128x128 256x256",
+        "mask:ignore.png:128:255",
+        "POINTS --ignore ignore.png",
+        "ignore.png 128x128 256x256",
     ),
     "more masks than views": (
         "",
