@@ -351,3 +351,30 @@ def test_what_a_reader_does_not_find_is_said_in_one_line(tmp_path):
     }  # fmt: skip
     for name, (content, message) in cases.items():
         assert_refused(message, read, write(tmp_path / name, content))
+
+
+def test_a_camera_of_a_chain_without_a_pose_has_none_and_none_follows_from_it(tmp_path):
+    lens = {"intrinsics": [480.0, 480.0, 127.5, 127.5], "resolution": [256, 256]}
+    step = lens | {"T_cn_cnm1": E.tolist()}
+    chains = {
+        "cam1: T_cn_cnm1 follows|cam2: T_cn_cnm1 follows": {
+            "cam0": lens,
+            "cam1": lens,
+            "cam2": step,
+        },
+        "cam2: T_cn_cnm1 follows a camera without": {"cam0": lens, "cam2": step},
+        r"cam1\.intrinsics is missing": {"cam0": lens, "cam1": {"T_cn_cnm1": E.tolist()}},
+    }
+    for message, chain in chains.items():
+        text = "\n".join(f"{name}: {json.dumps(values)}" for name, values in chain.items())
+        assert_refused(message, read, write(tmp_path / "c.yaml", text))
+
+
+def test_blank_lines_between_images_of_colmap_hide_none_and_points_are_no_pose(tmp_path):
+    write(tmp_path / "cameras.txt", "1 PINHOLE 200 200 100 100 100 100\n")
+    rows = [f"{n} 1 0 0 0 {n} 0 0 1 {n}.png" for n in (1, 2)]
+    images = tmp_path / "images.txt"
+    write(images, f"\n{rows[0]}\n1 2 3\n\n\n{rows[1]}\n5 6 7 1 1 1 1 1 1\n")
+    assert [view.t[0] for view in read(tmp_path)] == [1.0, 2.0]
+    write(images, f"{rows[0]}\n{rows[1].replace('2.png', 'a b c.png')}\n")
+    assert_refused("the line after image 1 is", read, tmp_path)

@@ -275,6 +275,18 @@ def test_a_glb_that_cannot_be_read_says_why(tmp_path, change, says):
     assert_refused(says, read_cloud, tmp_path / "a.gltf")
 
 
+def test_colours_that_a_scene_does_not_hold_are_no_traceback(tmp_path):
+    path, _ = a_glb(tmp_path)
+    document, binary = parts_of(path.read_bytes())
+    inline = base64.b64encode(binary).decode()
+    document["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{inline}"
+    for mesh in document["meshes"]:
+        mesh["primitives"][0]["attributes"]["COLOR_0"] = 99
+    data = json.dumps(document).encode()
+    scene = GltfFile(data, tmp_path / "a.gltf")
+    assert_refused(r"accessors\[99\] cannot be read", scene.read_colours)
+
+
 OBJ = b"""mtllib C:\\work\\my model.mtl\r
 o first\r
 v 0 0 0\r

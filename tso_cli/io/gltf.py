@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.normals import rigid_turn, same_places, turned_normals
-from .checked import Checked
+from .checked import Checked, kind
 from .gltf_scene import (
     COMPONENTS,
     MAGIC,
@@ -280,13 +280,22 @@ class GltfFile(Checked, MovableFile):
         self, number: Any, types: tuple[str, ...]
     ) -> tuple[int, int, np.dtype[Any], int, int, int]:
         """Buffer, offset, type, count, width and stride of an accessor."""
-        accessor = entry(self._accessors, number)
-        self.place = f"accessors[{number}]."
+        outer, self.place = self.place, f"accessors[{kind(number)}]."
+        with reading(self, WHOLE_SCENE):
+            layout = self._layout_of(entry(self._accessors, number), types)
+        self.place = outer
+        return layout
+
+    def _layout_of(
+        self, accessor: dict[str, Any], types: tuple[str, ...]
+    ) -> tuple[int, int, np.dtype[Any], int, int, int]:
         if "sparse" in accessor:
             raise self.error("sparse", "there", "values without sparse storage; export it again")
         form, component = accessor["type"], accessor["componentType"]
         if form not in types:
             raise self.error("type", plain(str(form)), " or ".join(types))
+        if component not in COMPONENTS:
+            raise self.error("componentType", kind(component), f"one of {[*COMPONENTS]}")
         dtype, width = np.dtype(COMPONENTS[component]), WIDTHS[form]
         view = entry(self._views, accessor["bufferView"])
         buffer, begin, stride, length = (
@@ -432,7 +441,8 @@ class GltfFile(Checked, MovableFile):
         They are not stored as float, or several nodes share them.
         """
         move = similarity_of(matrix)
-        return [] if move is None else sorted(set(self._fixed(move).values()))
+        with reading(self, "nodes with a scale > 0"):
+            return [] if move is None else sorted(set(self._fixed(move).values()))
 
     def _fixed(self, move: Similarity) -> dict[tuple[int, int], str]:
         """Buffer and offset of directions that cannot turn with ``move`` -> what they are."""

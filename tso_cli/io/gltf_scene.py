@@ -95,8 +95,9 @@ def memory_of(checked: Checked, document: dict[str, Any]) -> int:
     for number, accessor in enumerate(document.get("accessors", [])):
         checked.place = f"accessors[{number}]."
         counts.append(whole(accessor.get("count", 0)))
-        size = np.dtype(COMPONENTS[accessor["componentType"]]).itemsize
-        stored += counts[-1] * WIDTHS[accessor["type"]] * size
+        # Other types are an error of the reader.
+        size = np.dtype(COMPONENTS.get(accessor["componentType"], "i1")).itemsize
+        stored += counts[-1] * WIDTHS.get(accessor["type"], 0) * size
     meshes = []
     for number, mesh in enumerate(document.get("meshes", [])):
         checked.place = f"meshes[{number}]."
@@ -105,8 +106,11 @@ def memory_of(checked: Checked, document: dict[str, Any]) -> int:
             vertices = entry(counts, primitive["attributes"]["POSITION"])
             corners = entry(counts, primitive.get("indices", primitive["attributes"]["POSITION"]))
             meshes[-1] += _BYTES_PER_VERTEX * vertices + _BYTES_PER_CORNER * corners
-    nodes, checked.place = document.get("nodes", []), ""
-    return stored + sum(entry(meshes, node["mesh"]) for node in nodes if "mesh" in node)
+    for number, node in enumerate(document.get("nodes", [])):
+        checked.place = f"nodes[{number}]."
+        stored += entry(meshes, node["mesh"]) if "mesh" in node else 0
+    checked.place = ""
+    return stored
 
 
 def with_base_colours(data: bytes) -> bytes:
@@ -156,10 +160,12 @@ def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:
     """The matrix [4, 4] of each node to the world."""
     parent: dict[int, int] = {}
     for number, node in enumerate(nodes):
+        checked.place = f"nodes[{number}]."
         for child in node.get("children", []):
             if child not in range(len(nodes)) or child in parent:
-                raise checked.error(f"nodes[{number}].children", kind(child), "other nodes, once")
+                raise checked.error("children", kind(child), "other nodes, once")
             parent[child] = number
+    checked.place = ""
     local = [_local(checked, number, node) for number, node in enumerate(nodes)]
     places: dict[int, Array] = {}
     for number in range(len(nodes)):

@@ -52,13 +52,16 @@ def read(source: CameraSource, object_id: int | None = None) -> list[PartialCame
         return [view for view, *_ in _pictures(source)]
     poses = CameraSource(poses_file)
     with reading(poses, "a list of objects with cam_R_m2c, cam_t_m2c and obj_id for each picture"):
-        entries = {number: poses.json.get(number, []) for number in poses.json}
-        objects = {str(e["obj_id"]): e["obj_id"] for each in entries.values() for e in each}
+        objects: dict[str, Any] = {}
+        for number, entries in poses.json.items():
+            poses.place = f"{plain(number)}."
+            objects |= {str(entry["obj_id"]): entry["obj_id"] for entry in entries}
+        poses.place = ""
         if object_id is None:
             object_id = _only_object(poses, list(objects.values()))
         views = []
         for view, number, padded in _pictures(source):
-            for place, entry in enumerate(entries.get(number, [])):
+            for place, entry in enumerate(poses.json.get(number, [])):
                 if entry["obj_id"] == object_id:
                     poses.place = f"{plain(number)}."
                     R, t = _pose(poses, entry, "cam_R_m2c", "cam_t_m2c")

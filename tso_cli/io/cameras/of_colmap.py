@@ -7,6 +7,7 @@ COLMAP has the axes and the pose of OpenCV. Its pixel centres lie at halves.
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
@@ -136,7 +137,9 @@ def _picture(folder: Path, name: str) -> Path:
 
 
 def _lenses_of_text(source: CameraSource) -> Iterator[Lens]:
-    for number, model, width, height, *values in source.words:
+    for words in source.words:
+        source.place = f"camera {plain(words[0])}: "
+        number, model, width, height, *values = words
         yield int(number), model, float(width), float(height), [float(value) for value in values]
 
 
@@ -152,13 +155,16 @@ def _lenses_of_binary(source: CameraSource) -> Iterator[Lens]:
 
 def _images_of_text(source: CameraSource) -> Iterator[Image]:
     # Two lines of each image: its pose, and its points, which may be an empty line.
-    lines = [line for line in source.text.splitlines() if not line.lstrip().startswith("#")]
-    first = next((number for number, line in enumerate(lines) if line.strip()), len(lines))
-    for line, points in zip(lines[first::2], [*lines[first + 1 :: 2], ""], strict=False):
+    lines = (line for line in source.text.splitlines() if not line.lstrip().startswith("#"))
+    for line in lines:
         if not line.strip():
             continue
+        points = next(lines, "")
+        source.place = f"image {plain(line.split()[0])}: "
         number, *pose, camera, name = line.split(maxsplit=9)
-        if len(points.split()) % 3:
+        # The next image, where the lines of points are left out, ends in a name.
+        if len(points.split()) % 3 or not _is_number((points.split() or ["0"])[-1]):
+            source.place = ""
             raise source.error(
                 f"the line after image {plain(number)}",
                 shown(points[:60]),
@@ -167,12 +173,21 @@ def _images_of_text(source: CameraSource) -> Iterator[Image]:
         yield plain(number), [float(word) for word in pose], int(camera), name.strip()
 
 
+def _is_number(word: str) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
 def _images_of_binary(source: CameraSource) -> Iterator[Image]:
     data = source.data
     (count,), start = struct.unpack_from("<Q", data), 8
     for _ in range(count):
         number, *pose, camera = struct.unpack_from("<i7di", data, start)
-        end = data.index(b"\0", start + 64)
+        end = data.find(b"\0", start + 64)
+        if end < 0:
+            raise IndexError
         (points,) = struct.unpack_from("<Q", data, end + 1)
         yield number, pose, camera, data[start + 64 : end].decode("utf-8", "replace")
         start = end + 9 + 24 * points

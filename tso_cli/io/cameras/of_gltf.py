@@ -8,8 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import InputError
-from ..checked import kind
-from ..gltf_scene import MAGIC, document_of, objects_of, places_of, scene_text
+from ..gltf_scene import MAGIC, document_of, entry, objects_of, places_of, scene_text
 from .record import OPENGL, PartialCamera, from_camera_to_world, of_vertical_angle
 from .source import CameraSource
 
@@ -34,9 +33,9 @@ def read(source: CameraSource) -> list[PartialCamera]:
         index = node.get("camera")
         if index is None:
             continue
-        if index not in range(len(cameras)):
-            raise source.error(f"nodes[{number}].camera", kind(index), "the index of a camera")
-        camera = cameras[index]
+        source.place = f"nodes[{number}]."
+        camera = entry(cameras, index)
+        source.place = ""
         name = str(node.get("name") or camera.get("name") or f"camera {index}")
         lens = camera.get("perspective")
         if not isinstance(lens, dict):
@@ -44,7 +43,9 @@ def read(source: CameraSource) -> list[PartialCamera]:
                 f"{source.path}: the camera {name} is not perspective, which tso does not read "
                 "from glTF; write K, R and t instead"
             )
-        angle = source.number(f"cameras[{index}].perspective.yfov", lens["yfov"])
+        source.place = f"cameras[{index}].perspective."
+        angle = source.number("yfov", lens["yfov"])
+        source.place = ""
         if not 0.0 < angle < 3.14:
             raise source.error(f"{name}: yfov", f"{angle:g}", "radians between 0 and pi")
         # A scale of the node has no meaning for a camera.

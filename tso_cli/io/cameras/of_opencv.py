@@ -164,14 +164,13 @@ def _pose(source: CameraSource, values: dict[str, Any]) -> tuple[Array | None, A
 
 
 def _cams(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The cameras of a camchain of Kalibr."""
-    return {
+    """The cameras of a camchain of Kalibr; {} if it is none."""
+    cams = {
         name: values
         for name, values in document.items()
-        if re.fullmatch(r"cam\d+", str(name))
-        and isinstance(values, dict)
-        and "intrinsics" in values
+        if re.fullmatch(r"cam\d+", str(name)) and isinstance(values, dict)
     }
+    return cams if any("intrinsics" in values for values in cams.values()) else {}
 
 
 def _kalibr(source: CameraSource, cams: dict[str, dict[str, Any]]) -> list[PartialCamera]:
@@ -179,19 +178,26 @@ def _kalibr(source: CameraSource, cams: dict[str, dict[str, Any]]) -> list[Parti
     views = []
     poses = {key for values in cams.values() for key in values} & {"T_cam_imu", "T_cn_cnm1"}
     chain = np.eye(4) if poses == {"T_cn_cnm1"} else None
+    last = None
     for name in sorted(cams, key=lambda cam: int(cam[3:])):
         values = cams[name]
+        # A pose leads from the camera before it, which must be there and have one itself.
+        if last is not None and ("T_cn_cnm1" not in values or int(name[3:]) != last + 1):
+            chain = None
+        last = int(name[3:])
+        source.place = f"{name}."
         model = values.get("camera_model", "pinhole")
         if model != "pinhole":
             raise InputError(
                 f"{source.path}: {name}: camera_model is {shown(model)}, expected pinhole; "
                 "undistort the pictures"
             )
-        numbers = source.matrix(f"{name}.intrinsics", values["intrinsics"], (4,))
+        numbers = source.matrix("intrinsics", values["intrinsics"], (4,))
         size = None
         if "resolution" in values:
-            width, height = source.matrix(f"{name}.resolution", values["resolution"], (2,))
-            size = source.pixels(f"{name}.resolution: ", width, height)
+            width, height = source.matrix("resolution", values["resolution"], (2,))
+            size = source.pixels("resolution: ", width, height)
+        source.place = ""
         lens = _lens(
             source, f"{name}.", values.get("distortion_model", ""), values.get("distortion_coeffs")
         )
