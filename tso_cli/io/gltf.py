@@ -281,10 +281,11 @@ class GltfFile(Checked, MovableFile):
     ) -> tuple[int, int, np.dtype[Any], int, int, int]:
         """Buffer, offset, type, count, width and stride of an accessor."""
         outer, self.place = self.place, f"accessors[{kind(number)}]."
-        with reading(self, WHOLE_SCENE):
-            layout = self._layout_of(entry(self._accessors, number), types)
-        self.place = outer
-        return layout
+        try:
+            with reading(self, WHOLE_SCENE):
+                return self._layout_of(entry(self._accessors, number), types)
+        finally:
+            self.place = outer
 
     def _layout_of(
         self, accessor: dict[str, Any], types: tuple[str, ...]

@@ -162,7 +162,7 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
                 f"{path}: is a {image.format} file, whose losses change labels, expected a .png "
                 "for `label`"
             )
-        brightness = _brightness(image)
+        brightness = _brightest(image.convert("RGB").split())
         _refuse_photo(brightness, path)
         return brightness
     if image.mode == "P":
@@ -187,8 +187,9 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
         if chosen is grey and grey.dtype == np.uint8 and np.median(_border(grey)) > 127:
             _refuse_photo(grey, path)
         return chosen
-    brightness = _brightness(image)
-    red, green, blue = np.moveaxis(np.asarray(image.convert("RGB")), 2, 0)
+    bands = image.convert("RGB").split()
+    brightness = _brightest(bands)
+    red, green, blue = (np.asarray(band) for band in bands)
     if np.array_equal(red, green) and np.array_equal(green, blue):
         chosen = _chosen(red, brightness, path, label)
     else:
@@ -200,10 +201,11 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
     return chosen
 
 
-def _brightness(image: Image.Image) -> NDArray[np.uint8]:
-    """The largest channel [H, W] of a picture."""
-    largest: NDArray[np.uint8] = np.asarray(image.convert("RGB")).max(2)
-    return largest
+def _brightest(bands: tuple[Image.Image, ...]) -> NDArray[np.uint8]:
+    """The largest value [H, W] of the channels of a picture."""
+    from PIL import ImageChops
+
+    return np.asarray(functools.reduce(ImageChops.lighter, bands))
 
 
 def _refuse_photo(brightness: NDArray[np.uint8], path: Path) -> None:

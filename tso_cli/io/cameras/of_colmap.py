@@ -159,18 +159,18 @@ def _images_of_text(source: CameraSource) -> Iterator[Image]:
     for line in lines:
         if not line.strip():
             continue
-        points = next(lines, "")
-        source.place = f"image {plain(line.split()[0])}: "
-        number, *pose, camera, name = line.split(maxsplit=9)
+        title, points = plain(line.split()[0]), next(lines, "")
+        words = points.split()
         # The next image, where the lines of points are left out, ends in a name.
-        if len(points.split()) % 3 or not _is_number((points.split() or ["0"])[-1]):
-            source.place = ""
+        if words and (len(words) % 3 or not _is_number(words[-1])):
             raise source.error(
-                f"the line after image {plain(number)}",
+                f"the line after image {title}",
                 shown(points[:60]),
                 "its points X Y POINT3D_ID, or an empty line",
             )
-        yield plain(number), [float(word) for word in pose], int(camera), name.strip()
+        source.place = f"image {title}: "
+        _, *pose, camera, name = line.split(maxsplit=9)
+        yield title, [float(word) for word in pose], int(camera), name.strip()
 
 
 def _is_number(word: str) -> bool:
