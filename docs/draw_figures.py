@@ -28,7 +28,9 @@ from tso_cli.optimisation.learned_start import beginning
 from tso_cli.optimisation.optimise import weigh
 from tso_cli.optimisation.problem import prepare
 from tso_cli.prior import named_prior
-from tso_cli.render import FAMILIES, RayScene, look_at, shape_of
+from tso_cli.render.families import FAMILIES, shape_of
+from tso_cli.render.rays import RayScene
+from tso_cli.render.viewpoints import look_at
 
 DOCS = Path(__file__).parent
 CHAIR = DOCS.parent / "examples" / "chair"

@@ -23,7 +23,7 @@ from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.images import write_image
 from tso_cli.io.meshes import Mesh, read_mesh
 from tso_cli.io.shipped import examples_folder
-from tso_cli.render import RayScene, render_view
+from tso_cli.render.rays import RayScene, render_view
 
 CHAIR = "03001627"
 ANGLES = ((30.0, 20.0), (-110.0, -10.0), (165.0, 35.0))

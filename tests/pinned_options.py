@@ -19,8 +19,8 @@ import click
 
 from tso_cli.cli import tso
 from tso_cli.commands import options
-from tso_cli.commands.refine_record import key_of
-from tso_cli.commands.refine_run import check_options
+from tso_cli.commands.refine.options import RefineOptions
+from tso_cli.commands.refine.record import key_of
 from tso_cli.errors import TsoError
 
 REFINE = ["examples/chair/initial.ply", "examples/chair/mask.png"]
@@ -37,6 +37,10 @@ def values_of(parameter: click.Parameter) -> list[list[str]]:
     return [[word] * parameter.nargs for word in words]
 
 
+def flag(parameter: click.Parameter) -> str:
+    return max(parameter.opts, key=len)
+
+
 def lines() -> dict[str, list[str]]:
     """Name -> words of a command line."""
     found = {}
@@ -49,13 +53,14 @@ def lines() -> dict[str, list[str]]:
             for parameter in command.params
             if isinstance(parameter, click.Option) and not parameter.is_eager
         ]
+        of_command.sort(key=flag)
         for parameter in of_command:
             for values in values_of(parameter):
-                words = [name, *ARGUMENTS.get(name, []), parameter.opts[0], *values]
+                words = [name, *ARGUMENTS.get(name, []), flag(parameter), *values]
                 found[" ".join(words)] = words
         if name == "refine":
             for one, other in itertools.combinations(of_command, 2):
-                pair = [one.opts[0], *values_of(one)[0], other.opts[0], *values_of(other)[0]]
+                pair = [flag(one), *values_of(one)[0], flag(other), *values_of(other)[0]]
                 found[" ".join(["refine", *pair])] = ["refine", *REFINE, *pair]
     return found
 
@@ -70,11 +75,12 @@ def outcome(words: list[str]) -> str:
         with command.make_context(name, list(arguments), parent=context) as ctx:
             given = options.given(ctx)
             if name == "refine":
-                check_options(ctx.params)
+                RefineOptions(**ctx.params)
             texts: dict[str, Any] = {key: str(value) for key, value in given.items()}
-            return f"{key_of(given, [])[:12]} {json.dumps(texts, sort_keys=True)}"
-    except (click.ClickException, TsoError) as error:
-        return f"refused: {type(error).__name__}"
+            key = f"{key_of(given, [])[:12]} " if name == "refine" else ""
+            return f"{key}{json.dumps(texts, sort_keys=True)}"
+    except (click.ClickException, TsoError):
+        return "refused"
     except click.exceptions.Exit as error:
         return f"exit {error.exit_code}"
 

@@ -9,8 +9,8 @@ from tso_cli.datasets.items import ObjectItem, ViewItem
 from tso_cli.geometry.camera import Camera
 from tso_cli.lab.studies import fingerprint
 from tso_cli.network import model as networks
-from tso_cli.render import look_at
-from tso_cli.train import TrainConfig
+from tso_cli.render.viewpoints import look_at
+from tso_cli.train.config import TrainConfig
 
 
 def make_thin(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,8 +25,14 @@ RESEARCH = "Studies and benchmarks of the method."
 # no command.
 SECTIONS = {
     "Your data": {
-        "refine": ("tso_cli.commands.refine", "Move a cloud until it agrees with its masks."),
-        "batch": ("tso_cli.commands.batch", "Refine many clouds, and go on where it ended."),
+        "refine": (
+            "tso_cli.commands.refine.command",
+            "Move a cloud until it agrees with its masks.",
+        ),
+        "batch": (
+            "tso_cli.commands.batch.command",
+            "Refine many clouds, and go on where it ended.",
+        ),
         "eval": (
             "tso_cli.commands.evaluate",
             "Compare clouds with ground truth: Chamfer, F-score, EMD, IoU.",
@@ -39,7 +45,11 @@ SECTIONS = {
             "tso_cli.commands.render",
             "Render meshes: images, masks, cameras and point clouds.",
         ),
-        "train": ("tso_cli.commands.train", "Train a network that predicts a cloud from a photo."),
+        "train": (
+            "tso_cli.commands.train.command",
+            "Train a network that predicts a cloud from a photo.",
+        ),
+        "train-prior": ("tso_cli.commands.train.prior", "Train a prior for tso refine."),
         "curves": ("tso_cli.commands.curves", "Draw the losses of trainings."),
         "export": ("tso_cli.commands.export", "Write a smaller copy of a network."),
     },

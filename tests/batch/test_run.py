@@ -15,7 +15,7 @@ from tso_cli.errors import InputError
 from tso_cli.signals import press_ctrl_c
 from tso_cli.workers import WorkerPool
 
-ITEMS = [(f"{number}", (str(number),)) for number in range(12)]
+ITEMS = [(f"{number}", {"mode": str(number)}) for number in range(12)]
 
 
 def work(task, folder, poison=()):
@@ -26,11 +26,11 @@ def work(task, folder, poison=()):
         raise InputError("no 5")
     with (Path(folder) / task.item).open("a") as stream:
         stream.write("x")
-    return Outcome("done", f"key {task.arguments[0]}", 0.01, values={"output": task.item})
+    return Outcome("done", f"key {task.given['mode']}", 0.01, values={"output": task.item})
 
 
 def unchanged(task):
-    return task.key == f"key {task.arguments[0]}"
+    return task.key == f"key {task.given['mode']}"
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def batch(tmp_path):
             WorkerPool(2) as pool,
         ):
             past = read_journals([path])
-            tasks = tasks_of(items, past, lambda item, arguments: "")
+            tasks = tasks_of(items, past, lambda item, given: "")
             doing = partial(work, folder=tmp_path, poison=poison)
             return run(tasks, past, doing, checking, pool, 4, journal, on_end, interrupted)
 
@@ -85,7 +85,7 @@ def test_an_item_is_not_done_again_because_its_check_was_killed(batch, tmp_path)
 
 def test_an_item_whose_settings_changed_is_done_again(batch, tmp_path):
     batch()
-    changed = [(name, ("other",) if name == "3" else arguments) for name, arguments in ITEMS]
+    changed = [(name, {"mode": "other"} if name == "3" else given) for name, given in ITEMS]
     assert batch(changed).skipped == 10
     assert (tmp_path / "3").read_text() == "xx"
 
@@ -122,7 +122,7 @@ def test_what_a_process_wrote_before_it_died_is_of_this_batch(tmp_path):
         journal.add("1", "refused", reason="exists already")
     past = read_journals([tmp_path / "journal.jsonl"])
     asked = []
-    tasks_of(ITEMS[:3], past, lambda item, arguments: asked.append(item) or "")
+    tasks_of(ITEMS[:3], past, lambda item, given: asked.append(item) or "")
     assert asked == ["1", "2"]
 
 

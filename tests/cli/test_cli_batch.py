@@ -20,8 +20,8 @@ from tests.scenes import EXAMPLES
 from tso_cli.batch.engines import engine
 from tso_cli.batch.journal import ENDS, entries
 from tso_cli.batch.manifest import Item
-from tso_cli.commands.batch import command as batch_command
-from tso_cli.commands.batch_arguments import OF_BATCH, arguments_of, written_by
+from tso_cli.commands.batch.command import command as batch_command
+from tso_cli.commands.batch.items import OF_BATCH, options_of_items, written_by
 from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.lab.bench.scale import conclude, long_batch, processes_of, write_poison
@@ -159,15 +159,16 @@ def test_runs_with_other_parts_go_on_but_not_at_the_same_time(items, tso):
 def test_a_full_disk_loses_no_item(items, tso, monkeypatch):
     """`write_cloud` finds the disk full, in this process."""
     from tso_cli.batch.run import Task
-    from tso_cli.commands import batch_item, refine_outputs
+    from tso_cli.commands.batch import item
+    from tso_cli.commands.refine import outputs
 
     def full(*arguments, **more):
         raise InputError("a.ply: cannot be written") from OSError(errno.ENOSPC, "no space")
 
     files = (str(CHAIR / "initial.ply"), str(CHAIR / "mask.png"))
-    words = ("--steps", "1", "-o", "a.ply", "--", *files)
-    monkeypatch.setattr(refine_outputs, "write_cloud", full)
-    outcome = batch_item.refine_item(Task("a.ply", words), None)
+    given = {"steps": 1, "output": "a.ply", "source": files[0], "masks": files[1:]}
+    monkeypatch.setattr(outputs, "write_cloud", full)
+    outcome = item.refine_item(Task("a.ply", given), None)
     assert outcome.event == "failed"
     assert outcome.key is None
 
@@ -204,8 +205,16 @@ def test_shards_together_do_every_item_once(items, tso):
 @pytest.mark.parametrize(
     ("header", "rows", "message"),
     [
-        (HEADER, ["a.ply,m.png,x.ply,many,paper"], "row 2: steps: .*'many' is not a valid integer"),
-        (HEADER, ["a.ply,m.png,x.ply,2,fast"], "row 2: preset: .*'fast' is not one of"),
+        (
+            HEADER,
+            ["a.ply,m.png,x.ply,many,paper"],
+            "row 2: steps is 'many', expected a whole number, 0 or more",
+        ),
+        (
+            HEADER,
+            ["a.ply,m.png,x.ply,2,fast"],
+            "row 2: preset is 'fast', expected one of best, paper",
+        ),
         ("cloud,mask,stepps", ["a.ply,m.png,3"], "column 'stepps' is no option of tso refine"),
         ("cloud,mask,check", ["a.ply,m.png,1"], "column 'check' is not for one item"),
         ("cloud,mask,refine-camera", ["a.ply,m.png,maybe"], "expected true or false"),
@@ -226,7 +235,11 @@ def test_shards_together_do_every_item_once(items, tso):
         ("cloud,mask,output", ["a.ply,m.png,a.txt"], "row 2: output: .*'.txt', expected .ply"),
         ("cloud,mask,output", ["a.ply,m.png,a.glb"], "row 2: output: .*'.glb', expected .ply"),
         ("cloud,mask,assume", ["a.ply,m.png,mask-inverter"], "row 2: --assume is 'mask-inverter'"),
-        ("cloud,mask,gamma", ["a.ply,m.png,-1"], "row 2: gamma is -1.0, expected a number >= 0"),
+        (
+            "cloud,mask,gamma",
+            ["a.ply,m.png,-1"],
+            "row 2: gamma is '-1', expected a number, 0 or more",
+        ),
         ("cloud,mask,depth", ["a.ply,,d.png"], "row 2: no MASK was given"),
         ("cloud,mask,mode,refine-camera", ["a.png,m.png,encoder,1"], "row 2: --refine-camera is"),
         ("cloud,mask", ["a.ply,m.png;./m.png"], "row 2: mask is .*, expected each mask once"),
@@ -267,18 +280,19 @@ def test_the_options_that_hold_for_all_items_are_those_of_the_batch():
 
 def test_files_of_an_item_are_known_before_it_begins():
     values = {"cloud": "a.ply", "mask": "m.png", "overlay": "p.png", "write_camera": "in/c.json"}
-    (item,) = arguments_of([Item("row 1", {**values, "steps": "2"})], "in", Path("out"), [])
-    assert item[0] == "a.refined.ply"
+    row = Item("row 1", {**values, "steps": "2"})
+    ((name, given),) = options_of_items([row], "in", Path("out"), False)
+    assert name == "a.refined.ply"
     files = ["out/a.refined.ply", "out/a.refined.record.json", "out/in/c.json", "out/p.png"]
-    assert sorted(written_by(item[1])) == sorted(files)
-    assert written_by(item[1])[:2] == files[:2]
+    assert sorted(written_by(given)) == sorted(files)
+    assert written_by(given)[:2] == files[:2]
     plain = Item("row 1", {**values, "overlay": "./q.png"})
-    ((_, arguments),) = arguments_of([plain], "in", Path("out"), [])
-    assert set(written_by(arguments)) == {*files[:3], "out/q.png"}
+    ((_, given),) = options_of_items([plain], "in", Path("out"), False)
+    assert set(written_by(given)) == {*files[:3], "out/q.png"}
     far = Item("row 1", {"cloud": "a.ply", "mask": "m.png", "output": "s3://b/a.ply"})
-    ((_, arguments),) = arguments_of([far], "s3://c", Path("out"), [])
-    assert written_by(arguments) == ["s3://b/a.ply", "s3://b/a.record.json"]
-    assert arguments[-2:] == ("s3://c/a.ply", "s3://c/m.png")
+    ((_, given),) = options_of_items([far], "s3://c", Path("out"), False)
+    assert written_by(given) == ["s3://b/a.ply", "s3://b/a.record.json"]
+    assert (given["source"], given["masks"]) == ("s3://c/a.ply", ("s3://c/m.png",))
 
 
 def test_a_shard_refuses_what_two_shards_would_write():
@@ -287,7 +301,7 @@ def test_a_shard_refuses_what_two_shards_would_write():
         for n in range(8)
     ]
     for index in range(1, 5):
-        assert_refused("r.html", arguments_of, items, "", Path("out"), [], (index, 4))
+        assert_refused("r.html", options_of_items, items, "", Path("out"), False, (index, 4))
 
 
 def test_a_record_repeats_its_run_wherever_it_is_read(folder, tso, monkeypatch):
@@ -376,7 +390,7 @@ def test_a_cluster_of_dask_loses_nothing_and_names_the_poison(items, tmp_path):
 
 def test_one_ctrl_c_is_never_lost(items, tso, monkeypatch):
     """An engine may swallow the exception that Ctrl-C raises while the engine starts."""
-    from tso_cli.commands import batch_run
+    from tso_cli.commands.batch import run as batch_run
 
     def swallowed():
         with contextlib.suppress(BaseException):

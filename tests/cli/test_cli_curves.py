@@ -11,8 +11,8 @@ from tso_cli.io.checkpoints import save_network
 from tso_cli.io.logs import read_log
 from tso_cli.network.model import NetworkConfig
 from tso_cli.plots.curves import labels, lambda_drop, running_mean, sample_predictions
-from tso_cli.train import train
 from tso_cli.train.data import TrainingData
+from tso_cli.train.loop import train
 from tso_cli.train.state import write_history
 
 from ..train.conftest import write

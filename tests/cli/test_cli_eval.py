@@ -7,7 +7,8 @@ import pytest
 from tests.dataset_trees import lopsided, write_binvox
 from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
 from tests.scenes import block
-from tso_cli.evaluation.compare import EvalConfig, evaluate
+from tso_cli.evaluation.compare import evaluate
+from tso_cli.evaluation.config import EvalConfig
 from tso_cli.evaluation.footprint import IOU_MEANS, window_iou
 from tso_cli.evaluation.metrics import chamfer, emd, iou
 from tso_cli.evaluation.pairs import Pair
@@ -309,13 +310,13 @@ def test_fail_above_prints_the_result_and_then_fails_the_gate(cloud, run, docume
     [
         (["--points", 1], "points is 1"),
         (["--samples", 1], "samples is 1"),
-        (["--samples", 10, "--points", 20], "as many as points"),
+        (["--samples", 10, "--points", 20], "as many as --points"),
         (["--f-score", "--threshold", 0], "threshold is 0"),
-        (["--threshold", 1], "--threshold serves --f-score"),
+        (["--threshold", 1], "--threshold 1 says nothing without --f-score"),
         (["--iou"], "--iou needs --mask"),
-        (["--camera", "."], "serve --iou"),
-        (["--emd", "--fail-above", 3], "--fail-above 3 bounds the Chamfer"),
-        (["--fail-above", "nan"], "expected a number >= 0"),
+        (["--camera", "."], "says nothing without --iou"),
+        (["--emd", "--fail-above", 3], "--fail-above bounds the Chamfer"),
+        (["--fail-above", "nan"], "expected a number, 0 or more"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(cloud, options, message, refusal):
@@ -353,7 +354,7 @@ def test_sigma_sq_asks_for_the_silhouette_of_the_papers_projector(pictured, docu
     silhouette = silhouette_of(read_cloud(cloud).points, Camera.canonical(32, 32), 0.3)
     assert found["mean"]["iou"] == iou(silhouette, read_mask(mask))
     assert "Gaussian silhouette (sigma^2 0.3 px^2)" in found["convention"]["iou"]
-    assert "serves --iou" in refusal(cloud, cloud, "--sigma-sq", 0.3)
+    assert "says nothing without --iou" in refusal(cloud, cloud, "--sigma-sq", 0.3)
 
 
 def test_iou_is_the_mean_over_the_views_of_a_camera_file(pictured, document):
@@ -392,7 +393,7 @@ def test_iou_is_of_the_object_that_a_label_names(pictured, document, refusal):
     masked = (cloud, cloud, "--iou", "--mask", labels, "--camera", pictured / "camera.json")
     assert document(*masked, "--label", 1)["mean"]["iou"] > 0.85
     assert document(*masked, "--label", 2)["mean"]["iou"] < 0.15
-    assert "serve --iou" in refusal(cloud, cloud, "--label", 1)
+    assert "say nothing without --iou" in refusal(cloud, cloud, "--label", 1)
 
 
 def test_iou_is_of_the_picture_without_lens_distortion(pictured, document):
@@ -426,5 +427,5 @@ def test_iou_without_a_fitting_camera_is_refused(pictured, refusal):
 
 def test_progress_counts_the_pairs(cloud):
     pair, reports = Pair("a", cloud("a.ply"), cloud("b.ply")), []
-    evaluate([pair] * 3, EvalConfig(), lambda *report: reports.append(report))
+    evaluate([pair] * 3, EvalConfig(), progress=lambda *report: reports.append(report))
     assert reports == [(1, 3), (2, 3), (3, 3)]

@@ -60,12 +60,12 @@ def test_a_batch_and_a_record_have_the_error_of_the_masks(grown, refine, tso):
 @pytest.mark.parametrize("error", ["0", "-1", "nan", "inf"])
 def test_an_error_that_is_no_length_is_refused_before_any_file_is_read(folder, refine, error):
     message = refine("none.ply", "none.png", "--mask-error", error).refusal
-    assert f"--mask-error {error}, expected pixels, more than 0" in message
+    assert f"--mask-error is {error}, expected a finite number, more than 0" in message
 
 
 def test_the_network_modes_have_no_contours_to_be_wrong(folder, refine):
     message = refine("image.png", "mask.png", "--mode", "latent", "--mask-error", "1").refusal
-    assert "--mask-error is for --mode points, found --mode latent" in message
+    assert "--mask-error 1 is for --mode points, found --mode latent" in message
 
 
 def test_a_check_names_the_cause_that_a_refinement_names(folder, refine, chair):

@@ -36,7 +36,8 @@ def test_a_mesh_has_a_confidence_at_its_vertices(folder, refine):
         ),
         (
             ["--preset", "paper"],
-            "--point-confidence is for mode points with preset best, found points with paper",
+            "--point-confidence is for --mode points and --preset best, found --mode points and "
+            "--preset paper",
         ),
     ],
 )

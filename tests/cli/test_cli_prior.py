@@ -86,7 +86,9 @@ def test_what_is_no_prior_is_refused_in_one_line(folder, refine, own, file, says
 def test_the_paper_and_the_network_modes_use_no_prior(folder, refine, options):
     photo = "image.png" if "encoder" in options else "initial.ply"
     asked = refine(photo, "mask.png", *options, "--prior", "learned")
-    assert asked.refusal.startswith("tso: error: --prior is for mode points with preset best")
+    assert asked.refusal.startswith(
+        "tso: error: --prior learned is for --mode points and --preset best"
+    )
     document = refine(photo, "mask.png", *options, "--steps", "1", "--json").document
     assert document["prior"] == "none"
     assert document["moved_by_prior"] == 0.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scenes import EXAMPLES, about
-from tso_cli.commands.refine_run import LEFT
+from tso_cli.commands.refine.run import LEFT
 from tso_cli.diagnosis.trust import LEAST_CONFIDENCE, MOST_OF_DOUBTFUL
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.refinement import judge

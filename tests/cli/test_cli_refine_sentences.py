@@ -7,7 +7,7 @@ import pytest
 from tests.scenes import example
 from tso_cli import RefineConfig, RefineResult, refine
 from tso_cli.cloud.cloud import Cloud
-from tso_cli.commands.sentences import (
+from tso_cli.commands.refine.sentences import (
     ADVICE_OF_CAMERA,
     LOOK,
     OPTIONS_OF_NOTES,

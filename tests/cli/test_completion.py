@@ -41,7 +41,7 @@ def completed(words, folder):
 def test_the_beginning_of_an_option_is_completed(tmp_path):
     offered, modules = completed(["tso", "refine", "--pre"], tmp_path)
     assert offered == ["--preset"]
-    assert "tso_cli.commands.refine" in modules
+    assert "tso_cli.commands.refine.command" in modules
     assert not {"numpy", "torch"} & set(modules)
 
 

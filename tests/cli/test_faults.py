@@ -20,7 +20,7 @@ from PIL import Image
 from tests.corruption import assert_refused
 from tests.lab.test_study import run_toys
 from tests.training import make_known
-from tso_cli.commands import refine_run
+from tso_cli.commands.refine import run as refine_run
 from tso_cli.errors import InputError
 from tso_cli.io import output, reading
 from tso_cli.io.clouds import read_cloud, write_cloud

@@ -21,15 +21,11 @@ from tso_cli.evaluation.footprint import (
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.window import window_of
 from tso_cli.io.meshes import read_mesh
-from tso_cli.render import (
-    RayScene,
-    RenderSettings,
-    fitting_distance,
-    ground_truth,
-    look_at,
-    normalise,
-    render_view,
-)
+from tso_cli.render.folder import ground_truth
+from tso_cli.render.normalise import normalise
+from tso_cli.render.rays import RayScene, render_view
+from tso_cli.render.settings import RenderSettings
+from tso_cli.render.viewpoints import fitting_distance, look_at
 
 NAMES = ("chair", "car", "airplane")
 # One unit is 100 px; x to the right, y down.

@@ -158,7 +158,7 @@ def test_a_pose_without_K_takes_the_focal_length_that_is_given(scene, stored, re
         )
         source = run.document["views"][0]["camera"]["source"]
         assert "with the given f" in source
-    assert "expected one of them" in refine(*given, "--focal", "480", "--fov", "40").refusal
+    assert "expected one of the two" in refine(*given, "--focal", "480", "--fov", "40").refusal
 
 
 def test_a_focal_length_alone_is_no_camera(scene, refine):

@@ -12,7 +12,7 @@ from tso_cli.geometry.view import View
 from tso_cli.lab.studies import pose
 from tso_cli.lab.studies.cases import Case
 from tso_cli.pose.fit import Alternative, FittedCamera
-from tso_cli.render import look_at
+from tso_cli.render.viewpoints import look_at
 
 
 def test_the_first_answer_counts_and_so_does_the_nearest_of_all():

@@ -9,7 +9,7 @@ import pytest
 
 from tso_cli.errors import InputError
 from tso_cli.lab.studies.shapes import see, shapes_of_part, view_aligned_network
-from tso_cli.render import RenderSettings
+from tso_cli.render.settings import RenderSettings
 
 from .studying import MESHES, thin_checkpoint, write_split
 

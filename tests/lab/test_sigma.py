@@ -8,7 +8,7 @@ import pytest
 from tso_cli.lab.studies.shapes import Shape, see
 from tso_cli.lab.studies.sigma import SIGMAS, conclude, mask_errors
 from tso_cli.losses.silhouette import silhouette_of
-from tso_cli.render import RenderSettings
+from tso_cli.render.settings import RenderSettings
 
 from .studying import MESHES, holding
 

@@ -17,7 +17,7 @@ from tso_cli.lab.bench.peers import PEERS
 from tso_cli.lab.bench.ways import DEFAULT, PAPER, WAYS
 from tso_cli.lab.commands import tools
 from tso_cli.lab.harm.troubles import TROUBLE
-from tso_cli.lab.options import Option
+from tso_cli.lab.options import option
 from tso_cli.lab.studies import evidence, fingerprint, pose, refining
 from tso_cli.lab.study import Plan, Progress, Study, Table, claim, page
 from tso_cli.refinement import RefineConfig
@@ -50,8 +50,8 @@ TOY = Study(
     convention={"size": "in cm"},
     options=(
         options.MESHES,
-        Option("--size", kind=int, default=(1, 2), least=1, multiple=True, name="sizes"),
-        Option("--deep", kind=bool),
+        option("--size", kind=int, default=(1, 2), least=1, multiple=True, name="sizes"),
+        option("--deep", kind=bool),
     ),
     plan=plan,
     conclude=lambda cases: {"claims": CLAIMS},

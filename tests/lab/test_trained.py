@@ -22,7 +22,7 @@ from tso_cli.lab.studies.material import (
 )
 from tso_cli.lab.studies.trained import Comparison, Setting, masks
 from tso_cli.lab.study import Progress
-from tso_cli.render import look_at
+from tso_cli.render.viewpoints import look_at
 
 from ..training import box_surface
 from .studying import MESHES, SMALL, holding, rng, timeless

@@ -13,7 +13,9 @@ from tso_cli.io.meshes import Mesh
 from tso_cli.lab.studies.shapes import Shape, see, view_aligned_network
 from tso_cli.lab.studies.variants import VARIANTS, conclude, distances, refine_view, visible_points
 from tso_cli.refinement import RefineConfig
-from tso_cli.render import RayScene, RenderSettings, look_at
+from tso_cli.render.rays import RayScene
+from tso_cli.render.settings import RenderSettings
+from tso_cli.render.viewpoints import look_at
 from tso_cli.scene.network import network_scene
 
 from .studying import MESHES, holding, thin_checkpoint

@@ -6,7 +6,7 @@ import pytest
 from tests.prior.common import pushing
 from tests.scenes import problem_of, seen
 from tso_cli.optimisation.learned_start import PASSES, RIGHT, beginning
-from tso_cli.render import look_at
+from tso_cli.render.viewpoints import look_at
 
 CAMERA = look_at(0.0, 0.0, 2.2, (64, 64))
 

@@ -24,7 +24,9 @@ def network():
 
 
 def _refine(network, mode, **settings):
-    return refine(None, MASK, config=RefineConfig(mode, **settings), network=network, image=IMAGE)
+    return refine(
+        None, MASK, config=RefineConfig(mode=mode, **settings), network=network, image=IMAGE
+    )
 
 
 @MODES

@@ -10,7 +10,7 @@ from tso_cli.geometry.window import window_of
 from tso_cli.optimisation.learned_start import Beginning
 from tso_cli.optimisation.objective import PositionPrior
 from tso_cli.optimisation.optimise import firmness_by, optimise_points
-from tso_cli.render import look_at
+from tso_cli.render.viewpoints import look_at
 
 
 def test_points_outside_every_image_hardly_move():

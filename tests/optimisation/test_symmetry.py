@@ -14,7 +14,7 @@ from tso_cli.geometry.rotations import from_vectors
 from tso_cli.io.meshes import read_mesh
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.optimisation.symmetry import find_mirror_plane, fitted_plane
-from tso_cli.render import look_at
+from tso_cli.render.viewpoints import look_at
 
 
 @pytest.mark.parametrize("name", ["chair", "car"])

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tso_cli.commands.batch_page import write_index
+from tso_cli.commands.batch.page import write_index
 
 from .browser import CHROMIUM, Browser
 

@@ -14,8 +14,10 @@ from tso_cli.pose.causes import find_move
 from tso_cli.pose.depth import DepthMisfit, Surface
 from tso_cli.pose.placement import UNKNOWNS, Placements
 from tso_cli.pose.target import Target
-from tso_cli.render import RayScene, RenderSettings, look_at
 from tso_cli.render.folder import ground_truth, normalise
+from tso_cli.render.rays import RayScene
+from tso_cli.render.settings import RenderSettings
+from tso_cli.render.viewpoints import look_at
 
 CAMERA = Camera.canonical(64, 64)
 BALL = np.random.default_rng(0).normal(size=(400, 3))

@@ -18,8 +18,10 @@ from tso_cli.geometry.rotations import angle_between, from_vectors
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.meshes import Mesh, read_mesh
 from tso_cli.pose.causes import find_move
-from tso_cli.render import RayScene, RenderSettings, look_at, render_view
 from tso_cli.render.folder import ground_truth, normalise
+from tso_cli.render.rays import RayScene, render_view
+from tso_cli.render.settings import RenderSettings
+from tso_cli.render.viewpoints import look_at
 
 CHAIR, PLANE = example("chair"), example("airplane")
 TILT = from_vectors(np.radians([3.0, 4.0, -3.0]))  # 5.8 degrees
@@ -193,13 +195,19 @@ def test_after_a_move_that_explains_the_misfit_the_shape_is_hardly_bent():
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"move": "sideways"}, "move is 'sideways', expected one of auto, shape, pose"),
-        ({"keep": "colour"}, "keep is 'colour', expected one of auto, size, distance"),
-        ({"only": True, "move": "shape"}, "nothing may move"),
-        ({"only": True, "preset": "paper"}, "nothing may move"),
-        ({"only": True, "steps": 5}, "found 5 steps too"),
-        ({"keep": "size", "move": "camera"}, "for a cloud that moves, found move camera"),
-        ({"move": "pose", "mode": "encoder"}, "expected points for move pose"),
+        ({"move": "sideways"}, "`move` is 'sideways', expected one of auto, shape, pose"),
+        ({"keep": "colour"}, "`keep` is 'colour', expected one of auto, size, distance"),
+        ({"only": True, "move": "shape"}, "`only` is for `move` auto, pose, similarity or camera"),
+        ({"only": True, "preset": "paper"}, "nothing moves"),
+        ({"only": True, "steps": 5}, "`only` with `steps`, expected one of the two"),
+        (
+            {"keep": "size", "move": "camera"},
+            "for `move` auto, pose or similarity, found `move` camera",
+        ),
+        (
+            {"move": "pose", "mode": "encoder"},
+            "`move` pose is for `mode` points, found `mode` encoder",
+        ),
     ],
 )
 def test_moves_that_do_not_exist_are_refused(settings, said):
@@ -301,7 +309,9 @@ def test_a_camera_moves_by_either_name(refine, folder):
         assert run.document["moved_as"] == "camera"
         assert run.document["moved_cameras"][0]["turned_degrees"] == pytest.approx(5.8, abs=1.0)
     both = "--refine-camera", "--move", "pose", "-o", "both.ply"
-    assert "expected one of the two" in refine("turned.ply", "mask.png", *both).refusal
+    assert (
+        "is for --mode points and --move camera" in refine("turned.ply", "mask.png", *both).refusal
+    )
 
 
 def _pliers():

@@ -14,7 +14,7 @@ from tso_cli.prior import Frame, LearnedPrior, SeenCloud, Shown
 from tso_cli.prior.features import CELL, GRID, HALF
 from tso_cli.prior.learned import _samples
 from tso_cli.prior.view import cells_of_maps, signed_distance, turn_to_front
-from tso_cli.render import look_at
+from tso_cli.render.viewpoints import look_at
 
 from .common import some_weights
 

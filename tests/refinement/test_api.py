@@ -182,7 +182,7 @@ def test_unusable_points_masks_and_cameras_are_refused(chair):
         (dict(masks=[mask, mask]), "one camera for each mask"),
         (dict(masks=None), "masks are not arrays of numbers"),
         (dict(masks=[mask[None]]), "a mask has shape"),
-        (dict(config=RefineConfig("encoder")), "needs a network"),
+        (dict(config=RefineConfig(mode="encoder")), "needs a network"),
     ):
         assert_refused(words, refine, **(dict(points=points, masks=mask, cameras=camera) | bad))
 

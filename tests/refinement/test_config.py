@@ -20,9 +20,12 @@ def test_a_thousand_points_move_by_default_and_all_with_the_papers_preset(config
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ({"points": 100, "mode": "latent"}, "`points` is for mode points with preset best"),
-        ({"points": 3}, "points is 3, expected a whole number from 16 to 16,384"),
-        ({"points": True}, "points is True"),
+        (
+            {"points": 100, "mode": "latent"},
+            "`points` 100 is for `mode` points and `preset` best, found `mode` latent",
+        ),
+        ({"points": 3}, "`points` is 3, expected a whole number from 16 to 16,384"),
+        ({"points": True}, "`points` is True"),
     ],
 )
 def test_a_number_of_points_that_means_nothing_is_refused(settings, named):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tso_cli import render
 from tso_cli.geometry.camera import intrinsics
 from tso_cli.io.meshes import Mesh, write_mesh
+from tso_cli.render import viewpoints
 
 
 @pytest.fixture
@@ -35,8 +35,8 @@ def stool():
 
 
 def look_at(azimuth, elevation, distance, size, focal):
-    """`render.look_at` with another focal length, px."""
-    camera = render.look_at(azimuth, elevation, distance, size)
+    """`viewpoints.look_at` with another focal length, px."""
+    camera = viewpoints.look_at(azimuth, elevation, distance, size)
     return replace(camera, K=intrinsics(focal, *size))
 
 

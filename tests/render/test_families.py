@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tso_cli.render import FAMILIES, shape_of
+from tso_cli.render.families import FAMILIES, shape_of
 
 
 @pytest.mark.parametrize("family", FAMILIES)

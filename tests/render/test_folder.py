@@ -16,7 +16,8 @@ from tests.corruption import assert_refused
 from tso_cli.datasets import rendered
 from tso_cli.datasets.rendered import open_rendered, writing
 from tso_cli.errors import TsoError
-from tso_cli.render import RenderSettings, render_folder
+from tso_cli.render.folder import render_folder
+from tso_cli.render.settings import RenderSettings
 
 FAST = RenderSettings(views=3, size=(24, 24), samples=200, points=50)
 WORDS = "--views", 3, "--size", 24, "--samples", 200, "--points", 50

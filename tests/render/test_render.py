@@ -9,11 +9,15 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from tests.corruption import assert_refused
-from tso_cli import Camera, TsoError, render
+from tso_cli import Camera, TsoError
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.meshes import Mesh
-from tso_cli.render import RayScene, RenderSettings, rays, render_view, sample_cameras
-from tso_cli.render.viewpoints import MARGIN_PX
+from tso_cli.render import rays, viewpoints
+from tso_cli.render.folder import render_mesh
+from tso_cli.render.normalise import normalise
+from tso_cli.render.rays import RayScene, render_view
+from tso_cli.render.settings import RenderSettings
+from tso_cli.render.viewpoints import MARGIN_PX, sample_cameras
 
 from .conftest import box, joined, look_at, stool
 
@@ -28,7 +32,7 @@ def near(mask, pixels):
 
 
 def test_the_camera_in_front_is_the_canonical_one():
-    camera, canonical = render.look_at(0.0, 0.0, 2.0, (64, 64)), Camera.canonical(64, 64)
+    camera, canonical = viewpoints.look_at(0.0, 0.0, 2.0, (64, 64)), Camera.canonical(64, 64)
     for name in "KRt":
         np.testing.assert_allclose(getattr(camera, name), getattr(canonical, name), atol=1e-15)
 
@@ -39,7 +43,7 @@ def test_the_camera_in_front_is_the_canonical_one():
 def test_the_camera_stands_where_azimuth_and_elevation_say_and_looks_at_the_origin(
     azimuth, elevation
 ):
-    camera = render.look_at(azimuth, elevation, 3.0, (40, 30))
+    camera = viewpoints.look_at(azimuth, elevation, 3.0, (40, 30))
     a, e = np.radians([azimuth, elevation])
     position = 3.0 * np.array([np.cos(e) * np.sin(a), np.sin(e), np.cos(e) * np.cos(a)])
     np.testing.assert_allclose(camera.position, position, atol=1e-14)
@@ -54,7 +58,7 @@ def test_the_camera_stands_where_azimuth_and_elevation_say_and_looks_at_the_orig
 
 @pytest.mark.parametrize("size", [(64, 64), (96, 40), (30, 80)])
 def test_the_distance_is_the_smallest_that_keeps_the_object_in_the_frame(size):
-    mesh = render.normalise(stool())
+    mesh = normalise(stool())
     settings = RenderSettings(views=20, size=size)
     for camera in sample_cameras(settings, mesh.vertices, np.random.default_rng(0)):
         pixels, _ = camera.project(mesh.vertices)
@@ -78,11 +82,11 @@ def test_cameras_are_drawn_from_the_ranges():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"views": 0}, "views is 0"),
-        ({"size": (4, 64)}, "size is 4x64"),
+        ({"views": 0}, "`views` is 0"),
+        ({"size": (4, 64)}, "`size` is 4x64"),
         ({"azimuth": (90.0, 10.0)}, "azimuth"),
         ({"elevation": (-5.0, 91.0)}, "elevation"),
-        ({"points": 300, "samples": 200}, "points is 300"),
+        ({"points": 300, "samples": 200}, "`points` is 300"),
     ],
 )
 def test_impossible_settings_are_refused(change, words):
@@ -119,12 +123,12 @@ def test_the_area_of_a_sphere_is_that_of_its_outline():
 @pytest.mark.parametrize("model", ["perspective", "orthographic"])
 def test_mask_and_projected_surface_agree_for_any_camera(model):
     rng = np.random.default_rng(2)
-    mesh = render.normalise(stool())
+    mesh = normalise(stool())
     points = sample_surface(mesh.vertices, mesh.faces, 4000, rng)
     K = np.array([[75.0, 6.0, 47.3], [0.0, 60.0, 32.1], [0.0, 0.0, 1.0]])
     for _ in range(5):
         camera = replace(
-            render.look_at(rng.uniform(0, 360), rng.uniform(-40, 60), 2.5, (90, 70)),
+            viewpoints.look_at(rng.uniform(0, 360), rng.uniform(-40, 60), 2.5, (90, 70)),
             K=K,
             model=model,
         )
@@ -166,7 +170,7 @@ def test_an_object_out_of_sight_has_an_empty_mask_and_one_around_the_camera_a_fu
 
 
 def test_a_large_picture_is_cast_in_pieces_that_fit_together(monkeypatch):
-    camera, scene, calls = render.look_at(30.0, 20.0, 2.5, (70, 64)), RayScene(stool()), []
+    camera, scene, calls = viewpoints.look_at(30.0, 20.0, 2.5, (70, 64)), RayScene(stool()), []
     whole = render_view(scene, camera)
 
     class Counted(RayScene):
@@ -195,7 +199,7 @@ def test_without_open3d_one_line_says_what_to_install(monkeypatch):
 
 def test_a_rendered_mesh_lies_inside_its_pictures_with_its_target():
     settings = RenderSettings(views=6, samples=200, points=50)
-    rendered = render.render_mesh(stool(), settings, np.random.default_rng(3))
+    rendered = render_mesh(stool(), settings, np.random.default_rng(3))
     assert rendered.samples.shape == (200, 3)
     kept = rendered.samples[farthest_point_sample(rendered.samples, 50)]
     np.testing.assert_allclose(np.sort(rendered.target, axis=0), np.sort(kept, axis=0), atol=1e-6)
@@ -211,9 +215,7 @@ def test_a_rendered_mesh_lies_inside_its_pictures_with_its_target():
 
 def test_a_mesh_is_centred_and_scaled_without_its_unused_vertices():
     mesh = box((2.0, 4.0, 1.0), (1e6, -5.0, 3.0))
-    vertices = render.normalise(
-        Mesh(np.vstack([[1e9, 0, 0], mesh.vertices]), mesh.faces + 1)
-    ).vertices
+    vertices = normalise(Mesh(np.vstack([[1e9, 0, 0], mesh.vertices]), mesh.faces + 1)).vertices
     np.testing.assert_allclose(
         [-vertices.min(axis=0), vertices.max(axis=0)], [[0.25, 0.5, 0.125]] * 2, atol=1e-9
     )

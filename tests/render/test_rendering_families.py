@@ -2,7 +2,7 @@
 
 import pytest
 
-from tso_cli.render import FAMILIES
+from tso_cli.render.families import FAMILIES
 
 FAST = "--views", 1, "--size", 24, "--samples", 200, "--points", 50
 

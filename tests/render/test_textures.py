@@ -14,11 +14,13 @@ from PIL import EpsImagePlugin, Image
 from trimesh.visual import gloss
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
-from tso_cli import render
 from tso_cli.io.images import read_image
 from tso_cli.io.meshes import Mesh, read_mesh
 from tso_cli.io.textures import Texture
-from tso_cli.render import RayScene, RenderSettings, render_folder, render_view
+from tso_cli.render.folder import render_folder
+from tso_cli.render.normalise import normalise
+from tso_cli.render.rays import RayScene, render_view
+from tso_cli.render.settings import RenderSettings
 from tso_cli.render.variation import paint, warp
 
 from .conftest import look_at
@@ -197,10 +199,10 @@ def test_grey_palette_and_transparent_textures_are_read_as_colours(tmp_path):
 def test_a_normalised_or_warped_mesh_keeps_its_texture_and_a_painted_one_does_not(tmp_path):
     mesh = read_mesh(saved(tmp_path / "a.glb"))
     mesh = Mesh(np.vstack([[9, 9, 9], mesh.vertices]), mesh.faces + 1, mesh.colours, mesh.textures)
-    textured, plain = (unlit(render.normalise(each)) for each in (mesh, replace(mesh, textures=())))
+    textured, plain = (unlit(normalise(each)) for each in (mesh, replace(mesh, textures=())))
     assert np.abs(textured - plain).max() > 50
     np.testing.assert_array_equal(
-        warp(render.normalise(mesh), np.random.default_rng(0)).textures, mesh.textures
+        warp(normalise(mesh), np.random.default_rng(0)).textures, mesh.textures
     )
     assert paint(mesh, np.random.default_rng(0)).textures == ()
 

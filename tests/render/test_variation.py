@@ -11,7 +11,7 @@ from tests.corruption import assert_refused
 from tso_cli.datasets.items import Dataset, ObjectItem, copied, original
 from tso_cli.io.meshes import Mesh, read_mesh
 from tso_cli.io.shipped import example_meshes
-from tso_cli.render import normalise
+from tso_cli.render.normalise import normalise
 from tso_cli.render.variation import connected_parts, paint, warp
 
 CHAIR = next(path for path in example_meshes() if path.stem == "kfurn_chair")

@@ -92,7 +92,7 @@ def test_data_without_any_points_are_trained_on_by_masks_alone(tso_train, tmp_pa
     bare = TrainingData(
         [replace(item, target=None) for item in make_objects(2)], "boxes without points"
     )
-    monkeypatch.setattr("tso_cli.commands.training_data.load", lambda wanted, quiet: bare)
+    monkeypatch.setattr("tso_cli.commands.train.data.load", lambda wanted, quiet: bare)
     assert "box0: has no points to learn from" in tso_train(tmp_path).refusal
     assert not (tmp_path / "base.safetensors").exists()
     assert "2 steps" in tso_train(tmp_path, *MASKS).out
@@ -181,14 +181,14 @@ def test_ctrl_c_exits_with_130_and_the_last_checkpoint_is_resumed_bit_for_bit(
         (["boxes", "-o", "a.pth"], "the suffix is '.pth', expected .safetensors"),
         (["boxes", "--resume"], "base.training.safetensors: does not exist"),
         (["boxes", "--steps", 0], "steps is 0"),
-        (["none", "--crop-share", "-1"], "--crop-share is -1, expected 0 to 1"),
+        (["none", "--crop-share", "-1"], "--crop-share is -1, expected a number from 0 to 1"),
         (["boxes", "--device", "cuda:99"], "cuda:99"),
         (["boxes", "--frame", "world"], "world"),
-        (["boxes", "--mask-data", "boxes"], "expected joint with --mask-data"),
+        (["boxes", "--mask-data", "boxes"], "--mask-data boxes is for --supervision joint"),
         (["boxes", "--supervision", "joint"], "joint, expected --mask-data FOLDER with it"),
-        (["boxes", "--views", 2], "--views is for --supervision masks, found points"),
-        (["boxes", "--mask-split", "boxes"], "--mask-split is for --supervision joint"),
-        (["boxes", "--lambda", 2], "--lambda is for --supervision masks or joint"),
+        (["boxes", "--views", 2], "--views 2 is for --supervision masks"),
+        (["boxes", "--mask-split", "boxes"], "says nothing without --mask-data"),
+        (["boxes", "--lambda", 2], "--lambda 2 is for --supervision masks or joint"),
         (
             ["boxes", *MASKS, "--category-sigma-sq", "crate=1"],
             "sigma^2 is given for 'crate', expected one of",

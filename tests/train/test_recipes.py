@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from tso_cli.commands.recipes import RECIPES
 from tso_cli.io.checkpoints import load_network
 from tso_cli.io.shipped import PACKAGE
 from tso_cli.prior.file import read_prior
@@ -59,7 +58,7 @@ def test_a_recipe_trains_a_prior_on_shapes_by_rule_alone_and_the_same_bytes_agai
     pytest.importorskip("open3d")
     name = recipe(PRIOR)
     for output, more in (("a.safetensors", ()), ("b.safetensors", ("--workers", 2))):
-        done = tso("train", "--config", name, *more, "-o", output)
+        done = tso("train-prior", "--config", name, *more, "-o", output)
         assert done.code == 0, done.err
     assert Path("a.safetensors").read_bytes() == Path("b.safetensors").read_bytes()
     about = read_prior(Path("a.safetensors"))[1]
@@ -69,11 +68,11 @@ def test_a_recipe_trains_a_prior_on_shapes_by_rule_alone_and_the_same_bytes_agai
 
 def test_a_recipe_with_the_same_settings_resumes_a_training_and_another_does_not(tso, recipe):
     pytest.importorskip("open3d")
-    assert tso("train", "--config", recipe(PRIOR), "-o", "a.safetensors").code == 0
+    assert tso("train-prior", "--config", recipe(PRIOR), "-o", "a.safetensors").code == 0
     resumed = "--resume", "-o", "a.safetensors"
-    assert tso("train", "--config", recipe(PRIOR + "# as it was\n"), *resumed).code == 0
+    assert tso("train-prior", "--config", recipe(PRIOR + "# as it was\n"), *resumed).code == 0
     other = recipe(PRIOR + "marred = 0.5\n", "other.toml")
-    refused = tso("train", "--config", other, *resumed).refusal
+    refused = tso("train-prior", "--config", other, *resumed).refusal
     assert "was trained with --marred 0.4, this run asks for 0.5" in refused
 
 
@@ -81,9 +80,12 @@ def test_a_recipe_with_the_same_settings_resumes_a_training_and_another_does_not
     ("text", "message"),
     [
         ("step = 3", "'step' is no option of train, expected names such as seed or output"),
-        ("steps = true", "steps is True, expected text"),
+        ("steps = true", "steps is True, expected a whole number, 1 or more"),
         ("render = 3", "render is 3, expected a table of options"),
-        ("[render]\nviews = 0\nfamily = ['car=1']", "views is 0, expected 1 or more"),
+        (
+            "[render]\nviews = 0\nfamily = ['car=1']",
+            "views is 0, expected a whole",
+        ),
         ("[other]\nviews = 1", "'other' is a table, expected options"),
         ("steps = ", "cannot be read"),
     ],
@@ -97,17 +99,16 @@ def test_a_recipe_that_is_not_there_is_refused(tso):
     assert "none.toml: " in tso("train", "--config", "none.toml").refusal
 
 
-@pytest.mark.parametrize("name", RECIPES)
-def test_the_shipped_recipes_can_be_read_and_name_a_split_that_is_there(tso, name):
+@pytest.mark.parametrize(("name", "command"), [("network", "train"), ("prior", "train-prior")])
+def test_the_shipped_recipes_can_be_read_and_name_a_split_that_is_there(tso, name, command):
     assert (PACKAGE / "recipes" / f"{name}.toml").is_file()
     # Without the meshes: everything else has been read by then.
-    arguments = {"prior": ("--prior", "nowhere"), "network": ("nowhere",)}[name]
-    refused = tso("train", *arguments, "--config", name, "-o", "x.safetensors").refusal
+    refused = tso(command, "nowhere", "--config", name, "-o", "x.safetensors").refusal
     assert refused.startswith("tso: error: nowhere: "), refused
 
 
 def test_the_rate_of_a_cosine_falls_to_nothing():
-    from tso_cli.train import TrainConfig
+    from tso_cli.train.config import TrainConfig
 
     config = TrainConfig(steps=100, learning_rate=0.5, decay="cosine")
     assert [config.rate(step) for step in (0, 50, 100)] == pytest.approx([0.5, 0.25, 0.0])

@@ -12,8 +12,9 @@ from tests.corruption import assert_refused, full_disk
 from tso_cli.errors import TsoError
 from tso_cli.io.checkpoints import load_network
 from tso_cli.network.model import build_network
-from tso_cli.train import TrainConfig, evaluate, network_config, start, train
+from tso_cli.train.config import TrainConfig
 from tso_cli.train.data import TrainingData
+from tso_cli.train.loop import evaluate, network_config, start, train
 from tso_cli.train.processes import Processes
 from tso_cli.train.state import load_training, save_training, state_path
 
@@ -173,12 +174,12 @@ def test_impossible_settings_are_refused(change):
 
 
 def test_the_saturation_window_is_a_sixth_of_the_steps_within_bounds():
-    assert [TrainConfig(steps=steps).saturation_steps for steps in (6, 600, 20_000)] == [
+    assert [TrainConfig(steps=steps).window for steps in (6, 600, 20_000)] == [
         10,
         100,
         500,
     ]
-    assert TrainConfig(steps=600, saturation_steps=7).saturation_steps == 7
+    assert TrainConfig(steps=600, saturation_steps=7).window == 7
 
 
 # How it stops and resumes

@@ -72,12 +72,12 @@ def cameras_of(masks: Sequence[str]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Local:
-    """The arguments of an item with local files in place of addresses.
+    """The options of an item with local files in place of addresses.
 
     folders : folder of a local file -> that of its address. Names are the same in both.
     """
 
-    words: list[str]
+    given: dict[str, Any]
     folders: dict[str, str]
 
     def named(self, text: str, folder: Path | None = None) -> str:
@@ -116,42 +116,52 @@ def _whole(value: Any, folder: Path) -> Any:
 
 
 @contextmanager
-def local(words: Sequence[str], output: str, cameras: Mapping[str, str]) -> Iterator[Local]:
-    """The arguments of an item with local files in place of addresses.
+def local(given: Mapping[str, Any], output: str, cameras: Mapping[str, str]) -> Iterator[Local]:
+    """The options of an item with local files in place of addresses.
 
     ``output`` is the address of the result, or "". What is written next to the local result is
     stored next to it once the block has ended without an error. ``cameras`` are as of `cameras_of`.
     Raises InputError if a file cannot be fetched, and OSError if the result cannot be stored.
     Errors of tso in the block name addresses.
     """
-    if not output and not any(is_remote(word) for word in words):
-        yield Local(list(words), {})
+    addresses = list(filter(is_remote, texts_of(given)))
+    if not addresses:
+        yield Local(dict(given), {})
         return
     with TemporaryDirectory(prefix="tso-") as folder:
-        found = Local([], {})
-        results: Path | None = None
-        for number, word in enumerate(words):
-            if not is_remote(word):
-                found.words.append(word)
-                continue
+        places: dict[str, str] = {}
+        folders: dict[str, str] = {}
+        for number, address in enumerate(dict.fromkeys(addresses)):
             # No other folder has this name, so `named` may look for it alone.
-            place = Path(folder, f"{Path(folder).name}-{number}", PurePosixPath(word).name)
+            place = Path(folder, f"{Path(folder).name}-{number}", PurePosixPath(address).name)
             place.parent.mkdir()
-            found.words.append(str(place))
-            found.folders[place.parent.as_posix()] = word.rpartition("/")[0]
-            if word == output:
-                results = place.parent
+            places[address] = str(place)
+            folders[place.parent.as_posix()] = address.rpartition("/")[0]
+            if address == output:
                 continue
-            _fetch(word, place)
-            if word in cameras:
-                _fetch(cameras[word], place.with_name(PurePosixPath(cameras[word]).name))
+            _fetch(address, place)
+            if address in cameras:
+                _fetch(cameras[address], place.with_name(PurePosixPath(cameras[address]).name))
+
+        def placed(value: Any) -> Any:
+            if isinstance(value, tuple):
+                return tuple(map(placed, value))
+            return places.get(value, value) if isinstance(value, str) else value
+
+        fetched = Local({name: placed(value) for name, value in given.items()}, folders)
         try:
-            yield found
+            yield fetched
         except TsoError as error:
-            error.args = (found.named(str(error)),)
+            error.args = (fetched.named(str(error)),)
             raise
-        for file in sorted(results.iterdir()) if results else []:
+        for file in sorted(Path(places[output]).parent.iterdir()) if output else []:
             _store(file, f"{output.rpartition('/')[0]}/{file.name}")
+
+
+def texts_of(given: Mapping[str, Any]) -> list[str]:
+    """All texts among the options of an item, in their order."""
+    values = [value if isinstance(value, tuple) else (value,) for value in given.values()]
+    return [text for several in values for text in several if isinstance(text, str)]
 
 
 def _fetch(address: str, place: Path) -> None:

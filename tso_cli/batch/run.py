@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,18 +21,20 @@ CHECKING_SECONDS = 1.0
 # After Ctrl-C or SIGTERM the items at work have this many seconds. SLURM waits for 30.
 PATIENCE = 20.0
 
+Given = Mapping[str, Any]
+
 
 @dataclass(frozen=True)
 class Task:
     """An item for a process.
 
     item : its name, which is that of its output in the batch's folder.
-    arguments : of `tso refine`. key : of the result that is there already.
+    given : its options of `tso refine`, with paths as text. key : of the result that is there.
     written : whether its last end wrote a result. refusal : why it is not even begun.
     """
 
     item: str
-    arguments: tuple[str, ...]
+    given: Given
     key: str | None = None
     written: bool = True
     refusal: str = ""
@@ -82,24 +84,24 @@ OnEnd = Callable[[str, Outcome, Summary], None]
 
 
 def tasks_of(
-    items: Sequence[tuple[str, tuple[str, ...]]],
+    items: Sequence[tuple[str, Given]],
     past: dict[str, Past],
-    refusal: Callable[[str, tuple[str, ...]], str],
+    refusal: Callable[[str, Given], str],
     strict: bool = False,
 ) -> list[Task]:
-    """The tasks of items (name, arguments).
+    """The tasks of items (name, options).
 
     ``refusal`` says why an item that no run has begun must not begin, or "". ``strict`` : whether
     doubtful results are to be left unwritten.
     """
     tasks = []
-    for item, arguments in items:
+    for item, given in items:
         one = past.get(item, Past())
         written = bool(one.end.get("output"))
         changed = one.end.get("event") == "doubtful" and written == strict
         # A process that died may have written its result before.
-        why = "" if one.begun else refusal(item, arguments)
-        tasks.append(Task(item, arguments, None if changed else one.key, written, why))
+        why = "" if one.begun else refusal(item, given)
+        tasks.append(Task(item, given, None if changed else one.key, written, why))
     return tasks
 
 

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
 from ..errors import InputError, prefixed
 from ..io.output import check_output, write_file
+from ..option import check, declared, opt
 from . import options
-from .options import PATH
 
 if TYPE_CHECKING:
     from ..geometry.camera import Camera
     from ..io.cameras import PartialCamera
 
-FORMATS = ("tso", "colmap", "transforms")
 PICTURE = re.compile(r"\.(png|jpe?g|tiff?|webp|bmp)$", re.IGNORECASE)
 MESHES = (".glb", ".obj", ".off", ".stl")
 
@@ -42,30 +42,31 @@ class Size(click.ParamType):
         return width, height
 
 
-@click.command("convert")
-@click.argument("source", metavar="A", type=PATH)
-@click.argument("target", metavar="B", type=PATH)
-@options.option(
-    "--to",
-    "Convert cameras, to this format: tso's own, a COLMAP model (a folder of text files), or a "
-    "transforms.json.",
-    type=click.Choice(FORMATS),
-)
-@options.camera_format
-@options.option("--size", "Size of the pictures, if A does not say it.", type=Size())
-@options.option("--intrinsics", "Camera file whose K is used for the cameras of A.", type=PATH)
-@options.object_id
-@options.overwrite
-def command(
-    source: Path,
-    target: Path,
-    to: str | None,
-    camera_format: str | None,
-    size: tuple[int, int] | None,
-    intrinsics: Path | None,
-    object_id: int | None,
-    overwrite: bool,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ConvertOptions:
+    """What `tso convert` may be given.
+
+    to : Convert cameras, to this format: tso's own, a COLMAP model (a folder of text files), or a
+        transforms.json.
+    size : Size of the pictures, if A does not say it.
+    intrinsics : Camera file whose K is used for the cameras of A.
+    """
+
+    source: Path = opt(options.REQUIRED, role="argument", metavar="A")
+    target: Path = opt(options.REQUIRED, role="argument", metavar="B")
+    to: Literal["tso", "colmap", "transforms"] | None = opt(None)
+    camera_format: str | None = options.camera_format()
+    size: tuple[int, int] | None = opt(None, parser=Size())
+    intrinsics: Path | None = opt(None)
+    object_id: int | None = options.object_id()
+    overwrite: bool = options.overwrite()
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@options.command("convert", ConvertOptions)
+def command(ctx: click.Context, chosen: ConvertOptions) -> None:
     """Convert the cloud, mesh or cameras of A to B.
 
     \b
@@ -77,10 +78,11 @@ def command(
     Cameras are converted if B is a .json file, or with --to. Otherwise the suffix of B
     says how the cloud or mesh is written: .ply, .npy, .xyz, or a mesh as .glb, .obj, .off or .stl.
     """
-    if to is not None or target.suffix.lower() == ".json":
+    source, target, intrinsics = chosen.source, chosen.target, chosen.intrinsics
+    if chosen.to is not None or target.suffix.lower() == ".json":
         from ..io.cameras import read_partial_cameras
 
-        read = read_partial_cameras(source, camera_format, object_id)
+        read = read_partial_cameras(source, chosen.camera_format, chosen.object_id)
         if intrinsics is not None:
             from ..io.views import with_intrinsics
 
@@ -88,15 +90,13 @@ def command(
             masks = [view.mask or view.image or Path(view.label) for view in read[0]]
             posed = zip(read[0], masks, strict=True)
             read = [with_intrinsics(one, known, intrinsics, mask) for one, mask in posed], read[1]
-        _convert_cameras(source, read, target, to or "tso", size, overwrite)
+        _convert_cameras(source, read, target, chosen.to or "tso", chosen.size, chosen.overwrite)
         return
-    for name, value in (
-        ("--camera-format", camera_format), ("--size", size), ("--object", object_id),
-        ("--intrinsics", intrinsics),
-    ):  # fmt: skip
-        if value is not None:
-            raise InputError(f"{name} is for cameras, found {target} as a cloud or mesh to write")
-    _convert_cloud(source, target, overwrite)
+    for name in ("camera_format", "size", "object_id", "intrinsics"):
+        if getattr(chosen, name) is not None:
+            flag = declared(ConvertOptions)[name].flag
+            raise InputError(f"{flag} is for cameras, found {target} as a cloud or mesh to write")
+    _convert_cloud(source, target, chosen.overwrite)
 
 
 def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:

@@ -2,38 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
-from ..errors import InputError
+from ..option import check, opt
 from . import options
-from .options import PATH, option, output
 
 
-@click.command("curves")
-@click.argument("logs", nargs=-1, required=True, type=PATH)
-@output("Picture to write (.png).", default="curves.png", show_default=True)
-@option("--checkpoint", "Draw samples of this network too; needs --data.", type=PATH)
-@option("--data", "Data set that the samples are from.", type=PATH)
-@option(
-    "--split",
-    'Take the samples from the list "test" of this split (.json).',
-    "split_file",
-    type=PATH,
-)
-@option(
-    "--samples",
-    "Number of samples, 1 to 50.",
-    "count",
-    type=options.Whole(1, 50),
-    default=6,
-    show_default=True,
-)
-@options.overwrite
-def command(
-    logs: tuple[Path, ...], output: Path, overwrite: bool, count: int, **chosen: Path | None
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class CurvesOptions:
+    """What `tso curves` may be given; InputError for options that do not go together.
+
+    output : Picture to write (.png).
+    checkpoint : Draw samples of this network too; needs --data.
+    data : Data set that the samples are from.
+    split_file : Take the samples from the list "test" of this split (.json).
+    count : Number of samples, 1 to 50.
+    """
+
+    logs: tuple[Path, ...] = opt(options.REQUIRED, role="argument")
+    output: Path = opt(Path("curves.png"), names=("-o", "output"))
+    checkpoint: Path | None = opt(None, needs=("data",))
+    data: Path | None = opt(None, needs=("checkpoint",))
+    split_file: Path | None = opt(None, names=("split",), needs=("data",))
+    count: int = opt(6, names=("samples",), least=1, most=50)
+    overwrite: bool = options.overwrite()
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@options.command("curves", CurvesOptions)
+def command(ctx: click.Context, chosen: CurvesOptions) -> None:
     """Draw the losses of trainings.
 
     LOGS are files that `tso train --log-file` wrote. The picture shows every value and a running
@@ -54,31 +56,25 @@ def command(
         sample_predictions,
     )
 
-    checkpoint, data, split_file = (chosen[name] for name in ("checkpoint", "data", "split_file"))
-    if (checkpoint is None) != (data is None):
-        raise InputError(
-            "samples need a network and pictures, expected --checkpoint and --data together"
-        )
-    if split_file is not None and data is None:
-        raise InputError("--split without --data, expected a data set to choose from")
+    checkpoint, output, overwrite = chosen.checkpoint, chosen.output, chosen.overwrite
     pictures = output.with_name(f"{output.stem}.samples.png")
     for path in (output, pictures) if checkpoint else (output,):
         options.require_output(path, ".png", overwrite)
-    histories = [read_log(path) for path in logs]
+    histories = [read_log(path) for path in chosen.logs]
     samples, scale = [], ""
-    if checkpoint and data:
-        from .training_data import DataSelection, load
+    if checkpoint and chosen.data:
+        from .train.data import DataSelection, load
 
         network, config = load_network(named_checkpoint(checkpoint))
         selection = DataSelection(
-            data,
-            split_file,
+            chosen.data,
+            chosen.split_file,
             crop_share=config.crop_share,
             background=config.background,
             part="test",
         )
         training = load(selection)
-        samples = sample_predictions(network, training, config.frame, count)
+        samples = sample_predictions(network, training, config.frame, chosen.count)
         scale = training.scale
     draw_curves(output, histories, overwrite)
     for name, log in zip(labels(histories), histories, strict=True):

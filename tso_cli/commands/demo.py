@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
 from ..io.output import make_folder
 from ..io.shipped import examples_folder
+from ..option import opt
 from . import options
 
 
-@click.command("demo")
-@options.output(
-    "Folder to write to; files of an earlier demo are replaced.", default="demo", show_default=True
-)
-def command(output: Path) -> None:
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions:
+    """What `tso demo` may be given.
+
+    output : Folder to write to; files of an earlier demo are replaced.
+    """
+
+    output: Path = opt(Path("demo"), names=("-o", "output"))
+
+
+@options.command("demo", DemoOptions)
+def command(ctx: click.Context, chosen: DemoOptions) -> None:
     """Refine the shipped chair, and compare it with its true shape, before and after.
 
     Writes chair.ply, chair.png (the picture of --overlay) and chair.html (the page of --report).
     """
     chair = examples_folder() / "chair"
     initial, target = chair / "initial.ply", chair / "target.ply"
+    output = chosen.output
     make_folder(output)
     cloud, picture, page = (output / f"chair.{suffix}" for suffix in ("ply", "png", "html"))
     _run(

@@ -6,6 +6,7 @@ import importlib
 import os
 import platform
 from collections.abc import Iterator
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
@@ -14,6 +15,7 @@ import click
 
 from ..errors import EXTRAS, missing_extra
 from ..io.output import reason
+from ..option import opt
 from ..version import __version__
 from . import options
 
@@ -34,21 +36,30 @@ SLOW = ("torch", "open3d")
 """What takes seconds to import."""
 
 
-@click.command("doctor")
-@options.flag("--imports", "Import torch and open3d too, which takes seconds: devices and faults.")
-@options.as_json
-def command(imports: bool, as_json: bool) -> None:
+@dataclass(frozen=True, kw_only=True)
+class DoctorOptions:
+    """What `tso doctor` may be given.
+
+    imports : Import torch and open3d too, which takes seconds: devices and faults.
+    """
+
+    imports: bool = opt(False)
+    as_json: bool = options.as_json()
+
+
+@options.command("doctor", DoctorOptions)
+def command(ctx: click.Context, chosen: DoctorOptions) -> None:
     """Say what is installed, whether points mode works, and how to get what is missing.
 
     The exit code is 0 if points mode works, and 1 if not.
     """
-    found = examined(imports)
-    if as_json:
+    found = examined(chosen.imports)
+    if chosen.as_json:
         options.echo_json(found)
     else:
         for name, words in _lines(found):
             click.echo(f"{name:<9}{words}")
-    click.get_current_context().exit(0 if found["points_mode"]["works"] else 1)
+    ctx.exit(0 if found["points_mode"]["works"] else 1)
 
 
 def examined(imports: bool) -> dict[str, Any]:

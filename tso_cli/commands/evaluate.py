@@ -3,78 +3,54 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import click
 
 from ..errors import GateError, InputError
-from ..evaluation.names import FIELDS, METRICS, PROTOCOLS
+from ..evaluation.config import FIELDS, METRICS, EvalConfig
+from ..option import opt
 from ..plots.table import text_table
 from . import options
-from .options import PATH, choice, flag, option
-
-if TYPE_CHECKING:
-    from ..evaluation.compare import EvalConfig
-
-HEADINGS = {
-    "chamfer": "Metrics",
-    "protocol": "Clouds",
-    "mask": "Input of --iou",
-    "suffix": "Input and output",
-}
 
 
-@click.command("eval", cls=options.Command, headings=HEADINGS)
-@click.argument("prediction", type=PATH)
-@click.argument("target", type=PATH)
-@flag("--chamfer", "Chamfer distance. The default if no metric is named.")
-@flag("--f-score", "F-score at the distance --threshold.")
-@option(
-    "--threshold",
-    "Distance up to which a point counts as found, for --f-score.  "
-    "[default: 1 % of the target's longest side]",
-    type=float,
-)
-@flag("--emd", "Earth mover's distance. Both clouds need the same number of points.")
-@flag("--iou", "IoU of the prediction's silhouette and a mask; needs --mask.")
-@choice(
-    "--protocol",
-    "plain: clouds as they are. capnet: the paper's normalisation, see above.",
-    *PROTOCOLS,
-)
-@option(
-    "--points",
-    "Keep N points of every cloud, chosen by farthest-point sampling.  [default: all; capnet 1024]",
-    type=int,
-)
-@option("--samples", "Points to sample from the surface of a mesh or voxel grid.", default=16384)
-@flag("--vertices", "Compare the vertices of meshes instead of their surfaces.", "as_vertices")
-@option("--mask", "Mask of the object, or a folder with NAME.png.", type=PATH)
-@option(
-    "--camera",
-    "Camera file for all masks, or a folder with NAME.camera.json.  "
-    "[default: the camera file next to the mask]",
-    type=PATH,
-)
-@options.label
-@options.mask_index
-@option(
-    "--sigma-sq",
-    "Draw the silhouette as the paper does, with Gaussians of this variance (px^2).",
-    type=float,
-)
-@option(
-    "--suffix",
-    "In folders: what the predictions' names have after NAME, such as .refined.",
-    default="",
-    show_default=False,
-)
-@option(
-    "--fail-above", "Exit with code 3 if the mean Chamfer distance x1000 is above X.", type=float
-)
-@options.seed
-@options.as_json
-def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
+@dataclass(frozen=True, kw_only=True)
+class EvalOptions(EvalConfig):
+    """What `tso eval` may be given; InputError for options that do not go together.
+
+    mask : Mask of the object, or a folder with NAME.png.
+    camera : Camera file for all masks, or a folder with NAME.camera.json.
+    suffix : In folders: what the predictions' names have after NAME, such as .refined.
+    fail_above : Exit with code 3 if the mean Chamfer distance x1000 is above X.
+    """
+
+    prediction: Path = opt(options.REQUIRED, role="argument")
+    target: Path = opt(options.REQUIRED, role="argument")
+    mask: Path | None = opt(None, heading="Masks", needs=("iou",))
+    camera: Path | None = opt(None, "the camera file next to the mask", needs=("iou",))
+    label: str | None = options.label()
+    mask_index: int | None = options.mask_index()
+    suffix: str = opt("", heading="Input and output")
+    fail_above: float | None = opt(None, least=0.0)
+    as_json: bool = options.as_json()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fail_above is not None and "chamfer" not in self.metrics:
+            raise InputError("--fail-above bounds the Chamfer distance, expected --chamfer too")
+        if self.iou and self.mask is None and self.camera is None:
+            raise InputError(
+                "--iou needs --mask (with --camera, or a camera file next to the mask), "
+                "or a --camera file that names masks"
+            )
+        if not self.iou and (self.label, self.mask_index) != (None, None):
+            raise InputError("--label and --mask-index say nothing without --iou, expected --iou")
+
+
+@options.command("eval", EvalOptions)
+def command(ctx: click.Context, chosen: EvalOptions) -> None:
     """Compare PREDICTION with TARGET: two files, or two folders matched by name.
 
     Files are point clouds (.ply .npy .xyz .txt), meshes (.obj .off .stl .glb, .ply with faces) or
@@ -89,46 +65,20 @@ def command(fail_above: float | None, as_json: bool, **chosen: Any) -> None:
     --protocol capnet is the paper's: it thins each cloud to 1,024 points, centres it on its own
     bounding box and scales it to longest side 1. This hides errors of scale and position.
     """
-    from ..evaluation.compare import EvalConfig, evaluate
+    from ..evaluation.compare import evaluate
     from ..evaluation.pairs import find_pairs
-    from ..io.masks import MaskChoice
 
-    metrics = tuple(name for name in METRICS if chosen[name]) or ("chamfer",)
-    choice = MaskChoice(chosen["label"], chosen["mask_index"])
-    config = options.pick(EvalConfig, chosen | {"metrics": metrics, "choice": choice})
-    if fail_above is not None and ("chamfer" not in metrics or not fail_above >= 0.0):
-        raise InputError(
-            f"--fail-above {fail_above:g} bounds the Chamfer distance, "
-            "expected a number >= 0 and --chamfer"
-        )
-    masked = chosen["mask"] is not None or chosen["camera"] is not None
-    if "iou" in metrics and not masked:
-        raise InputError(
-            "--iou needs --mask (with --camera, or a camera file next to the mask), "
-            "or a --camera file that names masks"
-        )
-    for used, serving, metric in (
-        (masked, "--mask and --camera serve --iou", "iou"),
-        (choice != MaskChoice(), "--label and --mask-index serve --iou", "iou"),
-        (config.sigma_sq is not None, "--sigma-sq serves --iou", "iou"),
-        (config.threshold is not None, "--threshold serves --f-score", "f_score"),
-    ):
-        if used and metric not in metrics:
-            raise InputError(f"{serving}, which was not asked for")
-    pairs = find_pairs(
-        *(chosen[name] for name in ("prediction", "target", "mask", "camera", "suffix"))
-    )
-    result = evaluate(pairs, config, options.ProgressBar("evaluating") if len(pairs) > 1 else None)
-    _log_remarks(result["pairs"], config)
-    if as_json:
+    pairs = find_pairs(chosen.prediction, chosen.target, chosen.mask, chosen.camera, chosen.suffix)
+    bar = options.ProgressBar("evaluating") if len(pairs) > 1 else None
+    result = evaluate(pairs, chosen, bar)
+    _log_remarks(result["pairs"], chosen)
+    if chosen.as_json:
         options.echo_json(result)
     else:
-        click.echo(_table(result, config))
-    if fail_above is not None and not 1000.0 * result["mean"]["chamfer"] <= fail_above:
-        raise GateError(
-            f"mean Chamfer x1000 is {1000.0 * result['mean']['chamfer']:.4g}, "
-            f"above {fail_above:g} (--fail-above)"
-        )
+        click.echo(_table(result, chosen))
+    limit, mean = chosen.fail_above, 1000.0 * result["mean"].get("chamfer", 0.0)
+    if limit is not None and not mean <= limit:
+        raise GateError(f"mean Chamfer x1000 is {mean:.4g}, above {limit:g} (--fail-above)")
 
 
 def _log_remarks(records: list[dict[str, Any]], config: EvalConfig) -> None:

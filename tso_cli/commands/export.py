@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
 from ..errors import InputError
 from ..io.shipped import CATEGORIES, examples_folder
+from ..option import opt
 from ..version import __version__
 from . import options
-from .options import PATH, output
 
 
-@click.command("export")
-@click.argument("checkpoint", type=PATH)
-@output("Copy to write (.safetensors).", required=True)
-@options.overwrite
-@options.as_json
-def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """What `tso export` may be given.
+
+    output : Copy to write (.safetensors).
+    """
+
+    checkpoint: Path = opt(options.REQUIRED, role="argument")
+    output: Path = opt(options.REQUIRED, names=("-o", "output"))
+    overwrite: bool = options.overwrite()
+    as_json: bool = options.as_json()
+
+
+@options.command("export", ExportOptions)
+def command(ctx: click.Context, chosen: ExportOptions) -> None:
     """Write a copy of CHECKPOINT with 16-bit weights and without the state of its training.
 
     The copy is used like any checkpoint, but a training cannot be resumed from it. The command
     prints how far predicted points move because of the smaller weights, measured on the shipped
     examples.
     """
+    checkpoint, output, overwrite = chosen.checkpoint, chosen.output, chosen.overwrite
     options.require_output(output, ".safetensors", overwrite)
     import torch
 
@@ -37,7 +48,7 @@ def command(checkpoint: Path, output: Path, overwrite: bool, as_json: bool) -> N
     save_network(output, network, config, overwrite, torch.float16)
     moved = max(_largest_change(folder, checkpoint, output) for folder in examples)
     before, after = checkpoint.stat().st_size, output.stat().st_size
-    if as_json:
+    if chosen.as_json:
         convention = "largest distance that a predicted point moves, shapes of longest side about 1"
         sizes = {"output": output, "bytes_before": before, "bytes_after": after}
         options.echo_json(

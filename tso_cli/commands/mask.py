@@ -3,33 +3,39 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
 
 from ..errors import InputError
+from ..option import check, opt
 from ..version import __version__
 from . import options
-from .options import PATH
 
 
-@click.command("mask")
-@click.argument("file", type=PATH)
-@options.output("Picture of the mask to write, .png.")
-@options.overwrite
-@options.label
-@options.mask_index
-@options.flag("--invert-mask", "The object is dark in the mask.", "invert")
-@options.as_json
-def command(
-    file: Path,
-    output: Path | None,
-    overwrite: bool,
-    label: str | None,
-    mask_index: int | None,
-    invert: bool,
-    as_json: bool,
-) -> None:
+@dataclass(frozen=True, kw_only=True)
+class MaskOptions:
+    """What `tso mask` may be given.
+
+    output : Picture of the mask to write, .png.
+    invert : The object is dark in the mask.
+    """
+
+    file: Path = opt(options.REQUIRED, role="argument")
+    output: Path | None = opt(None, names=("-o", "output"))
+    overwrite: bool = options.overwrite()
+    label: str | None = options.label()
+    mask_index: int | None = options.mask_index()
+    invert: bool = opt(False, names=("invert_mask",))
+    as_json: bool = options.as_json()
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@options.command("mask", MaskOptions)
+def command(ctx: click.Context, chosen: MaskOptions) -> None:
     """Show what would be used of the mask in FILE: its size, its foreground, and its box.
 
     FILE is a picture, an image of labels, an array (.npy, .npz, .pt) or a segmentation of COCO
@@ -41,13 +47,14 @@ def command(
     from ..io.images import orientation, write_image
     from ..io.masks import MaskChoice, read_mask
 
+    file, output = chosen.file, chosen.output
     if output is not None:
-        options.require_output(output, ".png", overwrite)
+        options.require_output(output, ".png", chosen.overwrite)
         if output.resolve() == file.resolve():
             raise InputError(f"{output}: is the input, expected another name")
     with options.Warnings(False):
-        mask = read_mask(file, MaskChoice(label, mask_index))
-        if invert:
+        mask = read_mask(file, MaskChoice(chosen.label, chosen.mask_index))
+        if chosen.invert:
             mask = np.float32(1.0) - mask
         inside = mask > 0.5
         if inside.all() or not inside.any():
@@ -63,8 +70,8 @@ def command(
     soft = int(np.count_nonzero((mask > 0.0) & (mask < 1.0)))
     box = object_box(inside) if pixels else None
     if output is not None:
-        write_image(output, np.rint(mask * 255.0).astype(np.uint8), overwrite)
-    if as_json:
+        write_image(output, np.rint(mask * 255.0).astype(np.uint8), chosen.overwrite)
+    if chosen.as_json:
         options.echo_json({
             "file": file, "width": width, "height": height, "foreground": pixels, "soft": soft,
             "box": box, "exif_orientation": turned, "output": output, "version": __version__,

@@ -1,11 +1,12 @@
-"""Files of options: what the command line does not give, a file may."""
+"""Options in files: TOML, JSON, records, and the rows of a manifest."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
-from types import NoneType
 from typing import Any
 
 import click
@@ -13,9 +14,10 @@ import click
 from ..errors import InputError, prefixed
 from ..io.output import reason
 from ..io.reading import plain, read_bytes, shown
-from . import options
+from ..option import AUTO, Declared, declared
 
 LARGEST = 16 << 20  # bytes
+SWITCHES = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
 
 
 def read_options(path: Path, expected: str) -> dict[str, Any]:
@@ -26,79 +28,98 @@ def read_options(path: Path, expected: str) -> dict[str, Any]:
     return document
 
 
-def set_defaults(ctx: click.Context, path: Path, values: dict[str, Any]) -> None:
-    """Let the ``values`` of a file, by the names of options, stand for options not given.
+def set_defaults(ctx: click.Context, kind: type, path: Path, values: dict[str, Any]) -> None:
+    """Let the ``values`` of a file stand for the options of ``kind`` that are not given."""
+    taken = values_of(kind, str(ctx.command.name), path, values)
+    ctx.default_map = {**(ctx.default_map or {}), **taken}
 
-    Paths are relative to the folder of the file.
+
+def values_of(kind: type, command: str, path: Path, values: dict[str, Any]) -> dict[str, Any]:
+    """The ``values`` of a file, by the fields of ``kind``, the options of a command.
+
+    Paths are text, relative to the folder of the file.
     """
-    parameters = {one.name: one for one in ctx.command.params if one.expose_value}
-    for parameter in list(parameters.values()):
-        for word in parameter.opts:
-            parameters.setdefault(parameter_of(word), parameter)
-    taken = {}
+    table, taken = named(kind), {}
+    example = "camera or refine-camera" if command == "refine" else "seed or output"
     for key, value in values.items():
         if isinstance(value, dict):
             raise InputError(
                 f"{path}: {shown(key)} is a table, expected options such as steps = 20 at the top "
                 "of the file"
             )
-        name = parameter_of(key)
-        if name not in parameters:
+        if (one := table.get(plain_name(key))) is None:
             raise InputError(
-                f"{path}: {shown(key)} is no option of {ctx.command.name}, expected names such as "
-                f"{_example(ctx)}"
+                f"{path}: {shown(key)} is no option of {command}, expected names such as {example}"
             )
         with prefixed(f"{path}: {plain(key)} is "):
-            taken[parameters[name].name] = _values(value, parameters[name], path.parent)
-    ctx.default_map = {**(ctx.default_map or {}), **taken}
+            taken[one.name] = value_of(one, value, lambda text: _placed(text, path.parent))
+    return taken
 
 
-def _example(ctx: click.Context) -> str:
-    return "camera or refine-camera" if ctx.command.name == "refine" else "seed or output"
+def _placed(text: str, folder: Path) -> str:
+    return text if "://" in text else str(folder / text)
 
 
-def _values(value: Any, parameter: click.Parameter, folder: Path) -> Any:
-    """A value of a file of options, as ``parameter`` takes it, with paths from ``folder``.
+def plain_name(name: str) -> str:
+    """The name of an option as `named` has it: refine_camera for --refine-camera."""
+    return name.strip().removeprefix("--").replace("-", "_")
 
-    Raises InputError with the value and what was expected.
+
+@lru_cache
+def named(kind: Any) -> dict[str, Declared]:
+    """The options of a dataclass by the names of their fields, and by those that help shows."""
+    table = dict(declared(kind))
+    for one in declared(kind).values():
+        table |= {plain_name(name): one for name in one.flags if name[:2] == "--"}
+    return table
+
+
+def value_of(one: Declared, value: Any, place: Callable[[str], str]) -> Any:
+    """The value of an option that a file has as ``value``, which may be text.
+
+    ``place`` says where a path of the file leads. InputError with the value and what was expected.
     """
-    several = parameter.nargs == -1 or getattr(parameter, "multiple", False)
-    values = value if several and isinstance(value, list) else [value]
-    for one in values:
-        if not _fits(one, parameter):
-            raise InputError(f"{shown(one)}, expected {_kinds(parameter.type)[1]}")
-    return in_folder(values if several else value, parameter, folder)
+    if one.length > 1 and (not isinstance(value, list) or len(value) != one.length):
+        raise InputError(f"{shown(value)}, expected {one.length} numbers")
+    several = one.several or one.length > 1
+    whole = several and isinstance(value, (list, tuple))
+    values = [_single(one, item, place) for item in (value if whole else [value])]
+    return tuple(values) if several else values[0]
 
 
-def _fits(value: Any, parameter: click.Parameter) -> bool:
-    kinds = _kinds(parameter.type)[0]
-    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        return False
+def _single(one: Declared, value: Any, place: Callable[[str], str]) -> Any:
+    option, text = one.option, isinstance(value, str)
+    auto = AUTO in option.words
+    if one.optional and (value is None or (auto and value == AUTO)):
+        return None
+    if option.table is not None and value == "list":
+        raise InputError("list, expected a name from that list")
     try:
-        if isinstance(value, str):
-            os.fsencode(value)  # half of a character, which JSON can hold, is no text
-        if value is not None:
-            parameter.type.convert(value, parameter, None)
-    except (click.UsageError, ValueError, OverflowError):
-        return False
-    return not isinstance(value, str) or "\0" not in value
+        if option.parser is not None:
+            return option.parser.convert(value, None, None)
+        if one.plain is bool and (text or isinstance(value, bool)):
+            return SWITCHES[value.casefold()] if text else value
+        if one.plain in (int, float) and isinstance(value, (int, float, str)):
+            number = int(value) if one.plain is int and text else value
+            number = float(value) if one.plain is float and not isinstance(value, bool) else number
+            if one._replace(length=1).takes(number):
+                return number
+        if one.plain is Path and text and value and _is_text(value):
+            return value if value in option.words else place(value)
+        words = isinstance(value, (int, float, str)) and not isinstance(value, bool)
+        if one.plain is str and words and _is_text(str(value)) and one.takes(str(value)):
+            return str(value)
+    except click.UsageError as error:
+        raise InputError(f"{shown(value)}, {error.format_message()}") from None
+    except (KeyError, ValueError, OverflowError):
+        pass
+    raise InputError(f"{shown(value)}, expected {'auto or ' if auto else ''}{one.expected}")
 
 
-def _kinds(kind: click.ParamType) -> tuple[tuple[type, ...], str]:
-    """The types that a file may hold for an option, and what they mean."""
-    if isinstance(kind, click.types.BoolParamType):
-        return (bool,), "true or false"
-    if isinstance(kind, options.AutoOrInteger):
-        return (int, str, NoneType), "auto or a whole number"
-    if isinstance(kind, options.Whole):
-        return (int, str), f"a whole number{kind.range}"
-    if isinstance(kind, click.types.FloatParamType):
-        return (int, float, str), "a number"
-    if isinstance(kind, click.Choice):
-        return (str,), f"one of {', '.join(map(str, kind.choices))}"
-    if isinstance(kind, options.FilePath):
-        return (str,), "a path"
-    return (int, float, str), "text"
+def _is_text(text: str) -> bool:
+    """Whether a text can be the name of a file: JSON can hold halves of characters."""
+    os.fsencode(text)
+    return "\0" not in text
 
 
 def _document(path: Path, data: bytes, expected: str) -> Any:
@@ -112,22 +133,3 @@ def _document(path: Path, data: bytes, expected: str) -> Any:
         return tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
-
-
-def parameter_of(name: str) -> str:
-    """The name of the parameter that a manifest or a file calls ``name``, as --help does."""
-    special = {
-        "cloud": "source", "mask": "masks", "object": "object_id", "json": "as_json",
-    }  # fmt: skip
-    plain = name.strip().removeprefix("--").replace("-", "_")
-    return special.get(plain, plain)
-
-
-def in_folder(value: Any, parameter: click.Parameter, folder: Path) -> Any:
-    """``value`` with paths that are relative to ``folder``, if the parameter takes paths."""
-    if isinstance(value, (list, tuple)):
-        return [in_folder(one, parameter, folder) for one in value]
-    kind = parameter.type
-    if not isinstance(kind, options.FilePath) or not isinstance(value, str):
-        return value
-    return value if "://" in value or value in kind.words else str(folder / value)

@@ -6,13 +6,14 @@ import gc
 import json
 import math
 import os
+import re
 import shlex
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,7 +22,7 @@ import click
 
 from ..errors import InputError, TsoError
 from ..io.output import require_output as require_output
-from ..io.shipped import DEFAULT, LEARNED, NO_PRIOR
+from ..option import AUTO, Declared, declared, opt
 
 T = TypeVar("T")
 CONTEXT: dict[str, Any] = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -30,10 +31,7 @@ SHOW_ALL = "tso.show_all"
 """Key of a context's ``meta``: whether the help shows every option."""
 CONFIG = "tso.config"
 """Key of a context's ``meta``: the file of --config."""
-FIT = Path("fit")
-"""What `--camera` takes instead of a file, to estimate the camera."""
-WORDS = {"camera": (str(FIT),), "checkpoint": (DEFAULT,), "prior": (LEARNED, NO_PRIOR)}
-"""Words that stand in place of a file, by the name of the option."""
+REQUIRED, INFINITY = MISSING, math.inf
 
 
 class FilePath(click.Path):
@@ -59,27 +57,6 @@ class AutoOrInteger(click.types.IntParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return None if value == "auto" else super().convert(value, param, ctx)
-
-
-class Whole(click.types.IntParamType):
-    """A whole number from ``least`` to ``most``; `click.IntRange` would add both to the help."""
-
-    def __init__(self, least: int | None = None, most: int | None = None) -> None:
-        self.least, self.most = least, most
-
-    @property
-    def range(self) -> str:
-        """The limits in words, after "a whole number"."""
-        lower = "" if self.least is None else f" from {self.least}"
-        return lower if self.most is None else f"{lower} to {self.most}"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        number = super().convert(value, param, ctx)
-        if self.least is not None and number < self.least:
-            self.fail(f"{number} is too small, expected {self.least} or more.", param, ctx)
-        if self.most is not None and number > self.most:
-            self.fail(f"{number} is too large, expected at most {self.most}.", param, ctx)
-        return number
 
 
 class LazyGroup(click.Group):
@@ -153,7 +130,8 @@ class Command(click.Command):
 
     Parameters
     ----------
-    headings : name of a parameter -> the heading above it and above the parameters after it.
+    headings : name of a parameter -> the heading above it and above the parameters after it that
+        have none. Parameters of one heading stand together.
     brief : names of the options that --help shows; --help-all shows every option. If empty, both
         show every option.
     """
@@ -178,6 +156,100 @@ class Command(click.Command):
         for heading, records in sections.items():
             with formatter.section(heading):
                 formatter.write_dl(records)
+
+
+def command(
+    name: str, kind: type[T], *more: click.Option
+) -> Callable[[Callable[[click.Context, T], None]], Command]:
+    """A decorator: the command whose options are those of ``kind``, and ``more``.
+
+    The function gets them as a ``kind``, which has checked them.
+    """
+    table = declared(kind)  # type: ignore[arg-type]
+    headings = {one.name: one.option.heading for one in table.values() if one.option.heading}
+    brief = [one.name for one in table.values() if one.option.brief]
+
+    def decorate(function: Callable[[click.Context, T], None]) -> Command:
+        def callback(**chosen: Any) -> None:
+            given = {
+                name: value
+                for name, value in chosen.items()
+                if value is not None or table[name].optional
+            }
+            function(click.get_current_context(), kind(**given))
+
+        callback.__doc__ = function.__doc__
+        flags = {one.title: one.flag for one in table.values()}
+        parameters = [*(_parameter(one, flags) for one in table.values()), *more]
+        return Command(
+            name, callback=callback, help=function.__doc__, params=parameters, headings=headings,
+            brief=brief if len(brief) < len(table) else (),
+        )  # fmt: skip
+
+    return decorate
+
+
+def parameter(one: Declared) -> click.Parameter:
+    """An option of no dataclass as click has it, which checks its value."""
+
+    def checked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
+        for item in value if one.several else (value,):
+            if item is not None and not one.takes(item):
+                raise InputError(f"{one.flag} is {item}, expected {one.expected}")
+        return value
+
+    made = _parameter(one, {})
+    made.callback = checked
+    return made
+
+
+def _parameter(one: Declared, flags: Mapping[str, str]) -> click.Parameter:
+    """An option of a dataclass as click has it."""
+    option = one.option
+    if option.role == "argument":
+        return click.Argument(
+            [one.name], type=_click_type(one), nargs=-1 if one.several else 1,
+            required=one.required, metavar=option.metavar,
+        )  # fmt: skip
+    words = f"  [default: {option.default_words}]" if option.default_words else ""
+    help = _with_flags(option.help + words, flags)
+    settings: dict[str, Any] = dict(help=help, metavar=option.metavar)
+    if one.plain is bool:
+        settings |= dict(is_flag=True)
+    else:
+        settings |= dict(type=_click_type(one), multiple=one.several, required=one.required)
+        settings |= dict(nargs=one.length)
+        if not one.required and one.default not in (None, ()) and not option.default_words:
+            settings |= dict(default=one.default)
+    if option.table is not None:
+        settings |= dict(callback=listing(option.table), is_eager=True)
+    return click.Option([*one.flags, one.name], **settings)
+
+
+def _with_flags(text: str, flags: Mapping[str, str]) -> str:
+    """A help in which names of options in backquotes are as on the command line."""
+    return re.sub(r"`(\w+)`", lambda name: flags.get(name[1], name[0]), text)
+
+
+class _Parsed(click.ParamType):
+    """A value that a parser of its own reads; the parser need not know click."""
+
+    def __init__(self, parser: Any) -> None:
+        self.parser, self.name = parser, parser.name
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        # A file of options has read it already.
+        return value if isinstance(value, tuple) else self.parser.convert(value, param, ctx)
+
+
+def _click_type(one: Declared) -> Any:
+    if one.choices:
+        return click.Choice(one.choices)
+    if one.option.parser is not None:
+        return _Parsed(one.option.parser)
+    if one.plain is Path:
+        return FilePath(*one.option.words)
+    return AutoOrInteger() if AUTO in one.option.words else one.plain
 
 
 def _complete(command: click.Command) -> click.Command:
@@ -224,38 +296,38 @@ def listing(table: Callable[[], Mapping[str, str]]) -> Callable[..., Any]:
             rows = table()
             width = max(map(len, rows), default=0)
             for name, words in rows.items():
-                click.echo(f"{name:{width}}  {words}")
+                click.echo(f"{name:{width}}  {words}".rstrip())
             ctx.exit()
         return value
 
     return print_if_asked
 
 
-def option(name: str, help: str, *names: str, **settings: Any) -> Callable[..., Any]:
-    """A `click.option` with its help; ``names`` are further names and the parameter's."""
-    return click.option(name, *names, help=help, **settings)
+def overwrite() -> Any:
+    return opt(False, help="Replace outputs that exist.", brief=True, role="run")
 
 
-def flag(name: str, help: str, *names: str) -> Callable[..., Any]:
-    """An option without a value."""
-    return option(name, help, *names, is_flag=True)
+def as_json() -> Any:
+    return opt(
+        False, help="Print one JSON document on stdout.", brief=True, role="run",
+        names=("json",),
+    )  # fmt: skip
 
 
-def choice(name: str, help: str, *values: str) -> Callable[..., Any]:
-    """An option that takes one of ``values``; the first is the default."""
-    return option(name, help, type=click.Choice(values), default=values[0])
+def quiet(help: str = "Print nothing but errors.") -> Any:
+    return opt(False, help=help, role="run", names=("-q", "quiet"))
 
 
-def output(help: str, **settings: Any) -> Callable[..., Any]:
-    """The option that names what a command writes."""
-    return click.option("-o", "--output", type=PATH, help=help, **settings)
+def seed() -> Any:
+    return opt(0, help="Seed of all random numbers.", least=0, most=2**63 - 1)
 
 
-overwrite = flag("--overwrite", "Replace outputs that exist.")
-seed = option(
-    "--seed", "Seed of all random numbers.", type=Whole(0, 2**63 - 1), default=0, show_default=True
-)
-as_json = flag("--json", "Print one JSON document on stdout.", "as_json")
+def device() -> Any:
+    return opt(
+        "cpu",
+        help="cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
+        metavar="DEVICE",
+    )
 
 
 def _formats() -> dict[str, str]:
@@ -265,38 +337,37 @@ def _formats() -> dict[str, str]:
     return {name: words for name, (words, _) in FORMATS.items()}
 
 
-camera_format = option(
-    "--camera-format",
-    "Format of the camera file, if the content does not tell; `list` lists all.",
-    metavar="NAME",
-    is_eager=True,
-    callback=listing(_formats),
-)
-object_id = option(
-    "--object",
-    "Object of a BOP scene that has several.",
-    "object_id",
-    type=Whole(0),
-    metavar="ID",
-)
-label = option(
-    "--label",
-    "Label of the object in masks that show several; R,G,B in coloured ones.",
-    metavar="N",
-)
-mask_index = option(
-    "--mask-index",
-    "Place of the object's mask in an array or list of several masks.",
-    type=Whole(0),
-    metavar="N",
-)
-device = option(
-    "--device",
-    "cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
-    default="cpu",
-    show_default=True,
-    metavar="DEVICE",
-)
+def camera_format() -> Any:
+    return opt(
+        None,
+        help="Format of the camera file, if the content does not tell; `list` lists all.",
+        metavar="NAME",
+        table=_formats,
+    )
+
+
+def object_id() -> Any:
+    return opt(
+        None, help="Object of a BOP scene that has several.", least=0, metavar="ID",
+        names=("object",),
+    )  # fmt: skip
+
+
+def label() -> Any:
+    return opt(
+        None,
+        help="Label of the object in masks that show several; R,G,B in coloured ones.",
+        metavar="N",
+    )
+
+
+def mask_index() -> Any:
+    return opt(
+        None,
+        help="Place of the object's mask in an array or list of several masks.",
+        least=0,
+        metavar="N",
+    )
 
 
 def pick(kind: type[T], chosen: Mapping[str, Any]) -> T:
@@ -350,34 +421,31 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def command_line() -> str:
-    """The command that runs, as a line for a shell: what was given, without the defaults."""
-    context = click.get_current_context()
-    words = ["tso", str(context.info_name)]
-    for parameter in context.command.params:
-        name = parameter.name or ""
-        if context.get_parameter_source(name) is not click.core.ParameterSource.COMMANDLINE:
+def command_line(name: str, kind: Any, values: Mapping[str, Any], *more: str) -> str:
+    """A command with the ``values`` of its options and ``more`` words, as a line for a shell."""
+    arguments, words = [], []
+    for one in declared(kind).values():
+        if one.name not in values:
             continue
-        # --config is not a parameter of the command, but where parameters come from.
-        value = context.params[name] if parameter.expose_value else context.meta[CONFIG]
-        values = value if isinstance(value, tuple) else (value,)
-        if isinstance(parameter, click.Argument):
-            words += map(str, values)
-        elif isinstance(parameter, click.Option):
-            shown = max(parameter.opts, key=len)
-            for one in values:
-                given = "auto" if one is None else str(one)
-                words += [shown] if parameter.is_flag else [shown, given]
-    return shlex.join(words)
+        value = values[one.name]
+        several = value if one.several else (value,)
+        shown = [AUTO if item is None else str(item) for item in several]
+        if one.option.role == "argument":
+            arguments += shown
+        elif one.plain is bool:
+            words += [one.flag]
+        else:
+            words += [word for text in shown for word in (one.flag, text)]
+    return shlex.join(["tso", name, *arguments, *words, *more])
 
 
-def given(ctx: click.Context) -> dict[str, Any]:
-    """The parameters of a command that were not left to their defaults."""
-    default = click.core.ParameterSource.DEFAULT
+def given(ctx: click.Context, *without: click.core.ParameterSource) -> dict[str, Any]:
+    """The parameters of a command that were not left to their defaults, nor come from others."""
+    others = (click.core.ParameterSource.DEFAULT, *without)
     return {
         name: value
         for name, value in ctx.params.items()
-        if ctx.get_parameter_source(name) is not default
+        if ctx.get_parameter_source(name) not in others
     }
 
 

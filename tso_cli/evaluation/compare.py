@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,57 +15,15 @@ from ..io.masks import MaskChoice
 from ..io.shapes import read_shape, shape_kind
 from ..losses.silhouette import silhouette_of
 from ..version import __version__
+from .config import FIELDS, METRICS, EvalConfig
 from .footprint import IOU_MEANS, window_iou
 from .metrics import F_SCORE_SHARE, chamfer, emd, f_score, iou
-from .names import FIELDS, METRICS
 from .pairs import Pair
 
 # Size of every cloud in the paper's evaluation.
 CAPNET_POINTS = 1024
 
 Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class EvalConfig:
-    """What to measure, and how; InputError for a value out of range.
-
-    protocol : "plain" takes coordinates as they are. "capnet" is the paper's protocol: each cloud
-        is thinned to ``points``, then centred on its own bounding box and scaled to longest side 1,
-        which hides errors of scale and place. EMD squares its distances.
-    points : number of points to which every cloud is thinned first (`farthest_point_sample`). None
-        takes all points, under "capnet" at most 1,024.
-    samples, seed : number and seed of the samples of the surface of a mesh or voxel grid;
-        prediction and target are sampled independently.
-    threshold : threshold of the F-score, in units of the compared clouds; None for 1 % of the
-        target's longest side.
-    sigma_sq : variance, px^2, of the Gaussians of the paper's silhouette, whose IoU is then
-        measured; None for the silhouette of `footprint`.
-    as_vertices : take the vertices of meshes, and not their surface.
-    choice : which object of a mask file is meant.
-    """
-
-    metrics: tuple[str, ...] = ("chamfer",)
-    protocol: str = "plain"
-    points: int | None = None
-    samples: int = 16384
-    threshold: float | None = None
-    sigma_sq: float | None = None
-    seed: int = 0
-    as_vertices: bool = False
-    choice: MaskChoice = MaskChoice()
-
-    def __post_init__(self) -> None:
-        if self.points is not None and self.points < 2:
-            raise InputError(f"points is {self.points}, expected at least 2")
-        least = max(2, self.points or 2)
-        if self.samples < least:
-            raise InputError(
-                f"samples is {self.samples}, expected at least {least}, as many as points"
-            )
-        for name, value in (("threshold", self.threshold), ("sigma_sq", self.sigma_sq)):
-            if value is not None and not 0.0 < value < np.inf:
-                raise InputError(f"{name} is {value:g}, expected a number > 0")
 
 
 def evaluate(
@@ -142,7 +99,7 @@ def _centre(points: Array) -> Array:
 
 def _measure_iou(points: Array, pair: Pair, config: EvalConfig) -> dict[str, Any]:
     scores = []
-    for view in pair.views(config.choice):
+    for view in pair.views(MaskChoice(config.label, config.mask_index)):
         if config.sigma_sq is None:
             scores.append(window_iou(points, view))
             continue

@@ -229,3 +229,21 @@ def name_of(path: Path, expected: str) -> str:
     Raises InputError as `read_bytes`.
     """
     return f"{path.name}, {hashlib.sha256(read_bytes(path, expected)).hexdigest()[:16]}"
+
+
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file; of a folder that of the names, sizes and times of its files."""
+    digest = hashlib.sha256()
+    try:
+        if not path.is_dir():
+            with path.open("rb") as stream:
+                while block := stream.read(1 << 20):
+                    digest.update(block)
+            return digest.hexdigest()
+        for file in sorted(path.rglob("*")):
+            status = file.stat()
+            line = f"{file.relative_to(path)} {status.st_size} {status.st_mtime_ns}"
+            digest.update(line.encode(errors="surrogateescape"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+    return digest.hexdigest()

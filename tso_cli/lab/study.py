@@ -12,9 +12,9 @@ from typing import Any
 
 from ..errors import InputError
 from ..io.output import reason
+from ..option import Declared
 from ..plots.table import Cell, text_table
 from ..version import __version__
-from .options import Option
 from .studies import QUESTIONS
 
 Record = dict[str, Any]
@@ -117,7 +117,7 @@ class Study:
     draw: Callable[[Path, Record, bool], None]
     reading: str
     convention: Record
-    options: tuple[Option, ...]
+    options: tuple[Declared, ...]
     plan: Callable[..., Plan]
     conclude: Callable[[Cases], Record]
 

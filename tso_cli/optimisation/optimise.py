@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 from ..geometry.arrays import Array
 from ..losses.chamfer import ChamferToStart
+from .config import Settings
 from .learned_start import RIGHT, Beginning
 from .loop import Optimised, Parameters, Progress, Term, minimise, sum_of
 from .objective import PositionPrior, SilhouetteObjective
 from .parameters import PointParameters
 from .presets import BEST_POINTS, FAR, LEAST_SEEN, PRIOR_WEIGHT
 from .problem import Problem
-from .settings import Settings
 from .view_weights import weights_of
 
 

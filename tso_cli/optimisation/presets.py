@@ -8,6 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from ..cloud.control_points import CONTROL_POINTS
+from ..io.shipped import LEARNED, NO_PRIOR
+from ..pose.asked import Asked
+
 Mode = Literal["points", "encoder", "encoder-decoder", "latent"]
 Preset = Literal["best", "paper"]
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -15,24 +19,27 @@ PRESETS: tuple[Preset, ...] = get_args(Preset)
 
 # The paper's variance of the Gaussian, in squared cells of a window of 64.
 SIGMA_SQ = 0.4
+# Numbers of control points that may be asked for. With fewer there is no confidence; farthest-point
+# sampling chooses no more (`geometry.points.CANDIDATES`).
+FEWEST_CONTROL_POINTS, MOST_POINTS = 16, 16_384
 
 
 @dataclass(frozen=True)
 class Defaults:
-    """Defaults of a preset and a mode.
-
-    steps : of the optimiser.
-    learning_rate : for a cloud of longest side 1.
-    gamma : weight of the Chamfer distance to the start, for a cloud of longest side 1.
-    """
+    """Defaults of a preset and a mode, by the names of `RefineConfig`."""
 
     steps: int
     learning_rate: float
     gamma: float
+    symmetry: str = "none"
+    move: Asked = "shape"
+    prior: str = NO_PRIOR
+    points: int | None = None
+    sigma_sq: float = SIGMA_SQ
 
 
 DEFAULTS = {
-    ("best", "points"): Defaults(20, 4e-3, 0.0),
+    ("best", "points"): Defaults(20, 4e-3, 0.0, "auto", "auto", LEARNED, CONTROL_POINTS),
     ("best", "encoder"): Defaults(12, 3e-5, 0.0),
     ("best", "encoder-decoder"): Defaults(12, 6e-5, 0.0),
     ("best", "latent"): Defaults(30, 1e-3, 0.0),
@@ -43,9 +50,6 @@ DEFAULTS = {
     ("paper", "latent"): Defaults(50, 1e-3, 1e6),
 }
 BEST_POINTS, PAPER_POINTS = DEFAULTS["best", "points"], DEFAULTS["paper", "points"]
-
-# Least number of control points that may be asked for, and for which there is a confidence.
-FEWEST_CONTROL_POINTS = 16
 
 # Cost of moving a point of the default preset, per squared distance (longest side 1) from where the
 # optimisation begins.

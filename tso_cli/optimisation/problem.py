@@ -10,9 +10,9 @@ from ..errors import InputError
 from ..geometry.arrays import Array
 from ..geometry.view import View
 from ..geometry.window import window_of
+from .config import Settings
 from .objective import ViewTargets
 from .resampled_view import CELLS, FINE_CELLS, ResampledView, resample_view
-from .settings import Settings
 from .symmetry import SymmetryDecision, decide_symmetry
 
 

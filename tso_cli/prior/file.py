@@ -17,7 +17,7 @@ from .network import shapes
 
 FORMAT = "tso-prior-2"
 METADATA_KEY = "tso"
-EXPECTED = "a learned prior, as tso train writes it"
+EXPECTED = "a learned prior, as tso train-prior writes it"
 # A prior has about 3 MB.
 LARGEST = 64 << 20
 

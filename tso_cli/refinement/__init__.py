@@ -6,19 +6,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ..optimisation.config import RefineConfig as RefineConfig
     from ..optimisation.presets import MODES as MODES
     from ..optimisation.presets import PRESETS as PRESETS
     from .api import refine as refine
     from .batch import refine_batch as refine_batch
     from .batch import refine_each as refine_each
-    from .config import RefineConfig as RefineConfig
     from .result import RefineResult as RefineResult
 
 _MODULES = {
     "refine": ".api",
     "refine_batch": ".batch",
     "refine_each": ".batch",
-    "RefineConfig": ".config",
+    "RefineConfig": "..optimisation.config",
     "RefineResult": ".result",
     "MODES": "..optimisation.presets",
     "PRESETS": "..optimisation.presets",

@@ -11,9 +11,9 @@ from ..diagnosis.findings import Finding
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..kernels import blas
+from ..optimisation.config import RefineConfig
 from ..optimisation.loop import Progress
 from .clock import Clock
-from .config import RefineConfig
 from .result import RefineResult
 from .run import run
 from .scene import as_scene

@@ -17,10 +17,10 @@ from ..cloud.cloud import as_numpy
 from ..errors import InputError, Interrupted, TsoError
 from ..io.reading import shown
 from ..kernels import blas
+from ..optimisation.config import RefineConfig
 from ..signals import at_interrupt
 from ..workers import Ended, Here, WorkerPool, cores, each
 from .clock import Clock
-from .config import RefineConfig
 from .result import RefineResult
 from .run import run
 from .scene import as_scene

@@ -14,10 +14,10 @@ from ..diagnosis.findings import Finding
 from ..geometry.arrays import Array
 from ..geometry.depth_kind import FITTED, DepthKind
 from ..geometry.view import View
+from ..optimisation.config import Settings
 from ..optimisation.learned_start import beginning
 from ..optimisation.optimise import weigh
 from ..optimisation.problem import prepare
-from ..optimisation.settings import Settings
 from ..pose.asked import Asked
 from ..pose.move import Move
 from ..prior import LearnedPrior, named_prior

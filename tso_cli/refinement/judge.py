@@ -18,11 +18,11 @@ from ..evaluation.footprint import common_window, window_iou
 from ..geometry.points import root_mean_square
 from ..geometry.view import View
 from ..losses.chamfer import ChamferToStart
+from ..optimisation.config import Settings
 from ..optimisation.loop import Optimised
 from ..optimisation.optimise import WeighedProblem
 from ..optimisation.presets import FEWEST_CONTROL_POINTS
 from ..optimisation.problem import Problem
-from ..optimisation.settings import Settings
 from ..pose.move import Move
 from ..pose.placing import missed_by
 from .result import Cost, Fit, RefineResult, StopReason, ViewFit

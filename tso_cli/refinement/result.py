@@ -9,7 +9,7 @@ from ..diagnosis.findings import Finding
 from ..diagnosis.trust import Trust
 from ..geometry.arrays import Array, Bits, Box
 from ..geometry.camera import Camera
-from ..optimisation.settings import Settings
+from ..optimisation.config import Settings
 from ..optimisation.symmetry import SymmetryDecision
 from ..pose.move import Move
 

@@ -10,11 +10,11 @@ from ..diagnosis.examine import Diagnosis, NoOverlapError, examine, explained
 from ..diagnosis.explain import SIMILAR, agreement
 from ..diagnosis.placement import require_plane_through
 from ..geometry.arrays import Array
+from ..optimisation.config import Settings
 from ..optimisation.learned_start import beginning
 from ..optimisation.loop import Parameters, Progress
 from ..optimisation.optimise import optimise, weigh
 from ..optimisation.problem import prepare
-from ..optimisation.settings import Settings
 from ..pose.causes import find_move
 from ..pose.move import Move, unmoved
 from ..prior import LearnedPrior, named_prior

@@ -4,9 +4,3 @@ Meshes are centred on their bounding box and scaled to longest side 1; y is up. 
 the origin. At azimuth 0 it looks along -z, and with growing azimuth it moves toward +x. At azimuth
 and elevation 0 its R is the canonical rotation.
 """
-
-from .families import FAMILIES, shape_of
-from .folder import ground_truth, render_folder, render_mesh
-from .normalise import normalise
-from .rays import RayScene, RenderedView, render_view
-from .viewpoints import RenderSettings, fitting_distance, look_at, sample_cameras

@@ -2,60 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ..errors import InputError
 from ..geometry.arrays import Array
 from ..geometry.camera import CANONICAL_DISTANCE, Camera
+from .settings import RenderSettings
 
 MARGIN_PX = 2.0  # the border around the object in pictures of `fitting_distance`
-
-
-@dataclass(frozen=True)
-class RenderSettings:
-    """What to render of every mesh. Raises InputError for impossible values.
-
-    views : number of pictures of each object.
-    size : width and height of the pictures in pixels.
-    azimuth, elevation : range in degrees; each view draws uniformly from it.
-    samples : number of points to draw from the surface.
-    points : number of these points that farthest-point sampling keeps.
-    copies : number of warped copies of each mesh that are rendered too.
-    paint : give each connected part a random colour.
-    """
-
-    views: int = 24
-    size: tuple[int, int] = (64, 64)
-    azimuth: tuple[float, float] = (0.0, 360.0)
-    elevation: tuple[float, float] = (-5.0, 40.0)
-    samples: int = 16384
-    points: int = 1024
-    copies: int = 0
-    paint: bool = False
-
-    def __post_init__(self) -> None:
-        if self.views < 1:
-            raise InputError(f"views is {self.views}, expected 1 or more")
-        if not 0 <= self.copies <= 9999:
-            raise InputError(f"copies is {self.copies}, expected 0 to 9999")
-        if min(self.size) < 8 or max(self.size) > 8192:
-            raise InputError(
-                f"size is {self.size[0]}x{self.size[1]}, expected 8 to 8192 pixels each way"
-            )
-        for name, limit in (("azimuth", 360.0), ("elevation", 90.0)):
-            low, high = getattr(self, name)
-            if not -limit <= low <= high <= limit:
-                raise InputError(
-                    f"{name} is {low:g} to {high:g}, "
-                    f"expected a range within -{limit:g} to {limit:g} degrees"
-                )
-        if not 1 <= self.points <= self.samples:
-            raise InputError(
-                f"points is {self.points} and samples {self.samples}, "
-                "expected 1 <= points <= samples"
-            )
 
 
 def look_at(azimuth: float, elevation: float, distance: float, size: tuple[int, int]) -> Camera:

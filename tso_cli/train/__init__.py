@@ -1,4 +1,1 @@
-"""Training the network that predicts a cloud from a photo."""
-
-from .config import TrainConfig
-from .loop import TrainResult, evaluate, network_config, start, train
+"""Training the network that predicts a cloud from a photo, and the learned prior."""

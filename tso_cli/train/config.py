@@ -5,85 +5,89 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-
-import numpy as np
+from typing import Literal
 
 from ..errors import InputError
+from ..option import check_values, opt
+
+MASKS = {"supervision": ("masks", "joint")}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """The settings of one training; InputError for a setting out of range.
+    """The settings of the training of a network; InputError for a setting out of range.
 
-    Parameters
-    ----------
-    supervision : "points" (Chamfer distance to the target, 3D), "masks" (V views through the
-        projector, 2D) or "joint" (points of one data set, and one mask for each image of another
-        data set).
-    frame : frame of the predicted points, "view" or "canonical" (see `NetworkConfig`).
-    steps : number of Adam steps, including the steps before a resume.
-    batch_size : objects in a step.
-    views : V, number of supervising masks of each object in a step ("masks" only); 4 in the paper.
-    affinity_weight : lambda of Eq. 6 ("masks" and "joint").
-    affinity : form of Eq. 5.
-    saturation_steps : window of `AffinitySchedule`; None for a sixth of ``steps``, but 10 to 500.
-    sigma_sq : variance of the projection kernel, px^2 of the 64x64 mask.
     category_sigma_sq : category -> its variance, in place of ``sigma_sq``.
     joint_weight : weight of the Chamfer distance relative to the mask loss ("joint" only); 1e6,
         like gamma in refinement.
-    decay : "none", or "cosine": the learning rate falls to 0 along half a cosine.
-    averaging : decay of the running mean of the weights, which is saved; 0 saves the last weights.
-    balance, augment : see `batches.Drawing`.
-    workers : threads that prepare batches ahead.
-    precision : "bfloat16" runs the layers of the network in mixed precision. Weights, losses and
-        projector stay in float32.
     recipe : name and digest of the file that the settings are from, or None.
-    seed : seed of the weights and of every draw. A run depends on the seed, the data and the device
-        alone.
+
+    A run depends on the seed, the data and the device alone.
+
+    balance : Draw every category equally often, however many objects it has.
+    augment : Mirror and recolour the pictures at random.
+    supervision : What the loss compares with: the true points (3D), masks (2D, through the
+        projector), or both, each of its own data (needs `mask_data`).
+    views : Masks to compare each object with in a step, for `supervision` masks.
+    affinity_weight : Weight of the affinity loss, lambda of Eq. 6. Once the loss saturates, the
+        weight drops to 2 % of this.
+    affinity : Form of the affinity loss: between points and mask, or the paper's, between pairs of
+        pixels.
+    saturation_steps : The loss is saturated if its mean over this number of steps is less than 1 %
+        below the mean over as many steps before.
+    sigma_sq : Variance of the projector's Gaussian, px^2 of a 64x64 mask.
+    points : Points of the predicted cloud.
+    frame : Axes of the predicted cloud: the camera's (view) or the object's (canonical).
+    decay : How the learning rate falls: not at all, or to 0 along half a cosine.
+    steps : Optimiser steps in all, those before `resume` included.
+    batch_size : Objects in a step.
+    learning_rate : Learning rate of Adam.
+    averaging : Save the moving average of the weights with this decay. 0: save the last weights.
+    precision : Number format of the network's layers; bfloat16 is mixed precision. Weights, losses
+        and projector stay in float32.
+    device : cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.
+    seed : Seed of all random numbers.
+    workers : Threads that prepare batches ahead.
     """
 
-    supervision: str = "points"
-    frame: str = "view"
-    steps: int = 1000
-    batch_size: int = 16
-    learning_rate: float = 5e-5
-    decay: str = "none"
-    views: int = 4
-    affinity_weight: float = 1.0
-    affinity: str = "points"
-    saturation_steps: int | None = None
-    sigma_sq: float = 0.4
+    balance: bool = opt(False, heading="Data")
+    augment: bool = opt(False, heading="Input pictures", brief=True)
+    supervision: Literal["points", "masks", "joint"] = opt(
+        "points", heading="Supervision", brief=True
+    )
+    views: int = opt(4, least=1, only={"supervision": ("masks",)})
+    affinity_weight: float = opt(
+        1.0, heading="Losses", names=("lambda",), least=0.0, below=math.inf, only=MASKS
+    )
+    affinity: Literal["points", "paper"] = opt("points", only=MASKS)
+    saturation_steps: int | None = opt(None, "a sixth of `steps`, 10 to 500", least=1, only=MASKS)
+    sigma_sq: float = opt(0.4, above=0.0, below=math.inf)
+    points: int = opt(1024, heading="Network", least=1)
+    frame: Literal["view", "canonical"] = opt("view")
+    decay: Literal["none", "cosine"] = opt("none", heading="Optimisation")
+    steps: int = opt(20_000, "20000; 600 without DATA", brief=True, least=1)
+    batch_size: int = opt(16, brief=True, least=1)
+    learning_rate: float = opt(5e-5, "5e-05; 0.0003 without DATA", above=0.0, below=math.inf)
+    averaging: float = opt(0.0, "0; 0.99 without DATA", least=0.0, below=1.0)
+    precision: Literal["float32", "bfloat16"] = opt("float32")
+    device: str = opt("cpu", heading="Running", metavar="DEVICE", brief=True)
+    seed: int = opt(0, least=0, most=2**63 - 1)
+    workers: int = opt(1, least=1)
     category_sigma_sq: Mapping[str, float] = field(default_factory=dict)
-    points: int = 1024
     joint_weight: float = 1e6
-    averaging: float = 0.0
-    balance: bool = False
-    augment: bool = False
-    precision: str = "float32"
-    workers: int = 1
     recipe: str | None = None
-    seed: int = 0
-    device: str = "cpu"
 
     def __post_init__(self) -> None:
-        if self.saturation_steps is None:
-            object.__setattr__(self, "saturation_steps", min(500, max(10, self.steps // 6)))
-        for name in ("steps", "batch_size", "views", "saturation_steps", "points", "workers"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}, expected 1 or more")
-        if not 0.0 <= self.averaging < 1.0:
-            raise InputError(f"averaging is {self.averaging:g}, expected 0 or more and below 1")
-        positive = {
-            name: getattr(self, name) for name in ("learning_rate", "sigma_sq", "joint_weight")
-        }
-        positive |= {f"sigma_sq of {name}": value for name, value in self.category_sigma_sq.items()}
-        for name, value in positive.items():
-            if not 0.0 < value < np.inf:
+        check_values(self)
+        positive = {f"`category_sigma_sq` of {k}": v for k, v in self.category_sigma_sq.items()}
+        for name, value in {**positive, "joint_weight": self.joint_weight}.items():
+            if not 0.0 < value < math.inf:
                 raise InputError(f"{name} is {value:g}, expected a finite number above 0")
-        if not 0.0 <= self.affinity_weight < np.inf:
-            raise InputError(
-                f"lambda is {self.affinity_weight:g}, expected a finite number, 0 or more"
-            )
+
+    @property
+    def window(self) -> int:
+        """Of `AffinitySchedule`."""
+        return self.saturation_steps or min(500, max(10, self.steps // 6))
 
     def rate(self, step: int) -> float:
         """The learning rate of ``step``, which counts from 0."""

@@ -66,7 +66,7 @@ def network_config(data: TrainingData, config: TrainConfig, steps: int) -> Netwo
             "views": config.views if config.supervision == "masks" else 1,
             "lambda": config.affinity_weight,
             "affinity": config.affinity,
-            "saturation_steps": config.saturation_steps,
+            "saturation_steps": config.window,
             "category_sigma_sq": dict(config.category_sigma_sq),
         }
     if config.supervision == "joint":
@@ -90,8 +90,7 @@ def start(
     data: TrainingData, config: TrainConfig, initial: BaseNetwork | None = None
 ) -> TrainingState:
     """A training at step 0, from random weights or from the weights of ``initial``."""
-    assert config.saturation_steps is not None
-    schedule = AffinitySchedule(config.affinity_weight, config.saturation_steps)
+    schedule = AffinitySchedule(config.affinity_weight, config.window)
     network = copy.deepcopy(initial) if initial else build_network(config.points, config.seed)
     if network.decoder.points != config.points:
         raise InputError(

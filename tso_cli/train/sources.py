@@ -18,7 +18,9 @@ from ..io.cameras import read_cameras
 from ..io.clouds import read_cloud
 from ..io.meshes import read_mesh
 from ..io.shipped import CATEGORIES, examples_folder
-from ..render import RenderedView, RenderSettings, render_mesh
+from ..render.folder import render_mesh
+from ..render.rays import RenderedView
+from ..render.settings import RenderSettings
 from .data import TrainingData
 
 

@@ -1,4 +1,4 @@
-"""The command `tso train --prior`: what it trains on, what it says, what it refuses."""
+"""The command `tso train-prior`: what it trains on, what it says, what it refuses."""
 
 import json
 import re
@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-from tso_cli.commands import options, train_prior
-from tso_cli.commands.train import command
+from tso_cli.commands import options
 from tso_cli.io.logs import read_log
 from tso_cli.io.shipped import examples_folder
 from tso_cli.prior.file import read_prior
 from tso_cli.prior.network import initial
-from tso_cli.train.prior.config import PriorConfig
 from tso_cli.train.prior.loss import loss
 from tso_cli.train.prior.starts import draw
 
@@ -34,9 +32,9 @@ def folder(tmp_path):
 
 @pytest.fixture
 def train(tso, tmp_path):
-    """`tso train --prior` for two short steps; of an option given twice the last counts."""
+    """`tso train-prior` for two short steps; of an option given twice the last counts."""
     common = ("-o", tmp_path / "my.safetensors", "--steps", 2, "--batch-size", 2, "--scenes", 3)
-    return lambda folder, *options: tso("train", "--prior", folder, *common, *options)
+    return lambda folder, *options: tso("train-prior", folder, *common, *options)
 
 
 def test_trains_on_a_folder_and_reports_it(train, folder, tmp_path):
@@ -164,24 +162,21 @@ def test_a_broken_mesh_is_left_out_and_named(train, folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--prior", "none"], "none: not a folder"),
-        (["--prior", "shapes/car"], "expected 2 at least"),
-        (["--prior", "shapes", "--without", "sofa"], "has no category 'sofa' to leave out"),
-        (["--prior", "shapes", "--without", "chair"], "no category can be learned from"),
-        (["--prior", "shapes", "-o", "there.safetensors"], "exists"),
-        (["--prior", "shapes", "-o", "a.pth"], "the suffix is '.pth', expected .safetensors"),
-        (["--prior", "shapes", "--resume"], "prior.training.safetensors: does not exist"),
-        (["--prior", "shapes", "--steps", 0], "--steps is 0, expected 1 or more"),
-        (["--prior", "shapes", "--batch-size", 0], "--batch-size is 0, expected 1 or more"),
-        (["--prior", "shapes", "--scenes", 0], "--scenes is 0, expected 1 or more"),
-        (["--prior", "shapes", "--device", "cuda:99"], "cuda:99"),
-        (["--prior", "shapes", "--init", "there.safetensors"], "there.safetensors"),
-        (["--prior", "shapes", "--resume", "--init", "a"], "--init with --resume"),
-        (["data", "--prior", "shapes"], "DATA is for the training of the network"),
-        (["--prior", "shapes", "--views", 3], "--views is for the training of the network"),
-        (["--prior", "shapes", "--augment"], "--augment is for the training of the network"),
-        (["--scenes", 3], "--scenes is for the training of a prior, expected --prior FOLDER"),
-        (["data", "--without", "car"], "--without is for the training of a prior"),
+        (["none"], "none: not a folder"),
+        (["shapes/car"], "expected 2 at least"),
+        (["shapes", "--without", "sofa"], "has no category 'sofa' to leave out"),
+        (["shapes", "--without", "chair"], "no category can be learned from"),
+        (["shapes", "-o", "there.safetensors"], "exists"),
+        (["shapes", "-o", "a.pth"], "the suffix is '.pth', expected .safetensors"),
+        (["shapes", "--resume"], "prior.training.safetensors: does not exist"),
+        (["shapes", "--steps", 0], "--steps is 0, expected a whole number, 1 or more"),
+        (["shapes", "--batch-size", 0], "--batch-size is 0, expected a whole number, 1 or more"),
+        (["shapes", "--scenes", 0], "--scenes is 0, expected a whole number, 1 or more"),
+        (["shapes", "--device", "cuda:99"], "cuda:99"),
+        (["shapes", "--init", "there.safetensors"], "there.safetensors"),
+        (["shapes", "--resume", "--init", "a"], "--init with --resume"),
+        (["shapes", "--predictions", 3], "--predictions counts what a network predicts"),
+        (["--scenes", 3], "no MESHES were given, expected their folder, or --by-rule N"),
     ],
 )
 def test_refuses_in_one_line_and_writes_nothing(
@@ -190,24 +185,13 @@ def test_refuses_in_one_line_and_writes_nothing(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.safetensors").write_bytes(b"mine")
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
-    assert message in tso("train", *arguments).refusal
+    assert message in tso("train-prior", *arguments).refusal
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before
 
 
 def test_several_processes_are_refused(train, folder, monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "2")
-    assert "--prior with 2 processes, expected one" in train(folder).refusal
-
-
-def test_defaults_and_names_of_options_are_those_of_the_settings():
-    config = PriorConfig()
-    parameters = {parameter.name: parameter for parameter in command.params}
-    assert train_prior.PRIOR_DEFAULTS["steps"] == config.steps
-    assert train_prior.PRIOR_DEFAULTS["batch_size"] == config.batch_size
-    assert parameters["scenes"].default == config.scenes
-    for name in ("predictions", "by_rule", "marred", "depth_maps"):
-        assert parameters[name].default == getattr(config, name)
-    assert set(train_prior.OF_BOTH) | set(train_prior.OF_PRIOR) <= set(parameters)
+    assert "tso train-prior with 2 processes, expected one" in train(folder).refusal
 
 
 def test_the_log_has_the_settings_on_its_first_line(train, folder, tmp_path):

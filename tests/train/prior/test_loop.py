@@ -262,7 +262,7 @@ def test_the_log_has_settings_and_losses(finished, tmp_path):
 
 @pytest.mark.parametrize("name", ["steps", "batch_size", "scenes"])
 def test_settings_are_at_least_1(name):
-    with pytest.raises(InputError, match=f"`{name}` is 0, expected 1 or more"):
+    with pytest.raises(InputError, match=f"`{name}` is 0, expected a whole number, 1 or more"):
         PriorConfig(**{name: 0})
 
 

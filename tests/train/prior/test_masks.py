@@ -5,7 +5,7 @@ import pytest
 
 from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
 from tso_cli.io.meshes import Mesh
-from tso_cli.render import RayScene
+from tso_cli.render.rays import RayScene
 from tso_cli.train.prior.masks import (
     HALF_SIDE,
     SAMPLES_ACROSS,

@@ -167,7 +167,7 @@ def test_a_network_of_few_points_is_refused(tmp_path, monkeypatch):
 
 def train(tso, folder, *words):
     small = ("--steps", 2, "--batch-size", 2, "--scenes", 8, "-o", folder / "my.safetensors")
-    return tso("train", "--prior", MESHES, "--without", "car", *small, *words)
+    return tso("train-prior", MESHES, "--without", "car", *small, *words)
 
 
 @pytest.mark.slow
@@ -190,8 +190,6 @@ def test_a_prior_is_trained_with_predictions_and_resumed_with_the_same_network(
 def test_predictions_need_a_network_and_open3d(tso, tmp_path, monkeypatch):
     refused = train(tso, tmp_path, "--predictions", 5).refusal
     assert "--predictions counts what a network predicts, expected --predicted-by" in refused
-    refused = tso("train", "data", "--predicted-by", "default").refusal
-    assert "--predicted-by is for the training of a prior" in refused
     monkeypatch.setitem(sys.modules, "open3d", None)
     refused = train(tso, tmp_path, "--predicted-by", "default").refusal
     assert "--predicted-by needs open3d, which is not installed: pip install" in refused

@@ -30,7 +30,7 @@ from ...version import __version__
 from ...workers import WorkerPool
 from .. import options
 from ..charts import draw_bars
-from ..options import Option
+from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .speed import machine
 
@@ -48,10 +48,10 @@ READ = """
 import sys, time
 from pathlib import Path
 from tso_cli.batch.manifest import folder_of, read_manifest
-from tso_cli.commands.batch_arguments import arguments_of
+from tso_cli.commands.batch.items import options_of_items
 memory = lambda: int(open("/proc/self/statm").read().split()[1])
 manifest, before, begun = Path(sys.argv[1]), memory(), time.perf_counter()
-items = arguments_of(read_manifest(manifest), folder_of(manifest), Path("out"), [])
+items = options_of_items(read_manifest(manifest), folder_of(manifest), Path("out"), False)
 print(time.perf_counter() - begun, memory() - before)
 """
 MORE = 300  # items of a batch whose pace is compared: processes take a second to start
@@ -188,7 +188,10 @@ def _in_python(folder: Path) -> None:
 
 def _nothing_to_do(folder: Path) -> None:
     """What the parent process itself needs: the items take no time."""
-    items = [(row[3], tuple(row)) for row in _rows(folder)]
+    items = [
+        (row[3], dict(zip(("source", "masks", "camera", "output"), row, strict=True)))
+        for row in _rows(folder)
+    ]
     with open_journal(folder / NAME) as journal, WorkerPool(os.cpu_count() or 1) as pool:
         tasks = tasks_of(items, {}, lambda item, known: "")
         run(tasks, {}, _no_work, bool, pool, 8, journal, lambda *ended: None, Event())
@@ -444,9 +447,9 @@ STUDY = Study(
     "long batch is left in peace for half of its items, then killed at random moments.",
     convention=CONVENTION,
     options=(
-        Option("--items", "Items of the long batch.", int, 20_000, least=50),
-        Option("--kills", "How often it is killed.", int, 100, least=0),
-        Option(
+        option("--items", "Items of the long batch.", int, 20_000, least=50),
+        option("--kills", "How often it is killed.", int, 100, least=0),
+        option(
             "--engine",
             "May be repeated.  [default: both]",
             default=("processes", "dask"),

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from ...version import __version__
 from .. import options
 from ..charts import digits, draw_bars
-from ..options import Option
+from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed
 from .timing import Setting
 
@@ -333,8 +333,14 @@ STUDY = Study(
     "two runs on a shared machine differ by up to half.",
     convention=CONVENTION,
     options=(
-        Option(
-            "--only", "May be repeated.", str, (*PARTS,), (*PARTS,), multiple=True, name="parts"
+        option(
+            "--only",
+            "May be repeated.",
+            str,
+            (*PARTS,),
+            choices=(*PARTS,),
+            multiple=True,
+            name="parts",
         ),
         options.SEED,
     ),

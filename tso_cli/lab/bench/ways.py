@@ -67,7 +67,7 @@ def _by_steps(line: str) -> Iterator[tuple[str, Way]]:
     for steps in STEPS[line]:
         kinds = (PREDICTION,) if mode != "points" else (CLOUD,) if steps else (CLOUD, PREDICTION)
         name = f"{line}, {steps} steps" if steps else line
-        run = Variant(RefineConfig(mode, preset=preset, steps=steps))
+        run = Variant(RefineConfig(mode=mode, preset=preset, steps=steps))
         yield name, Way(run, line, kinds)
 
 

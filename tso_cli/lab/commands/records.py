@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,25 @@ from ...errors import InputError
 from ...io.output import atomic_output, check_output, sole_writer
 from ...io.reading import read_bytes, shown
 from ...io.shipped import named_checkpoint
-from ..options import FOLDERS, Option
+from ..options import FOLDERS, option
 from ..study import Progress, Record, Study, answer, page, undamaged
 
-OUTPUT = options.output(
-    "Write the record here (.json), with a chart (.png) and a page (.md) of the same name."
-)
-RESUME = options.flag(
-    "--resume", "Go on from the record at -o, if there is one; it is kept after every job."
+# The options that every study has.
+OF_RECORDS = (
+    option(
+        "--output",
+        "Write the record here (.json), with a chart (.png) and a page (.md) of the same name.",
+        Path,
+        short="-o",
+    ),
+    option(
+        "--resume",
+        "Go on from the record at -o, if there is one; it is kept after every job.",
+        bool,
+        False,
+    ),
+    option("--overwrite", "Replace outputs that exist.", bool, False),
+    option("--json", "Print one JSON document on stdout.", bool, False, name="as_json"),
 )
 
 
@@ -128,9 +138,9 @@ def command_of(study: Study) -> click.Command:
     ) -> None:
         check_outputs(output, overwrite, resume)
         command_line = _command_line(study, values)
-        for option in study.options:
-            if option.multiple:
-                values[option.parameter] = tuple(dict.fromkeys(values[option.parameter]))
+        for own in study.options:
+            if own.several:
+                values[own.name] = tuple(dict.fromkeys(values[own.name]))
         if values.get("checkpoint"):
             values["checkpoint"] = named_checkpoint(values["checkpoint"])
             options.log(f"tso: checkpoint: {values['checkpoint']}")
@@ -150,44 +160,21 @@ def command_of(study: Study) -> click.Command:
         else:
             click.echo(answer(study, record))
 
-    function: Callable[..., Any] = run
-    own = map(_click_option, reversed(study.options))
-    for decorate in (options.as_json, options.overwrite, RESUME, OUTPUT, *own):
-        function = decorate(function)
+    parameters = [options.parameter(own) for own in (*study.options, *OF_RECORDS)]
     help_text = "\n\n".join(filter(None, (study.question, study.about)))
-    return click.command(study.name, help=help_text)(function)
-
-
-def _click_option(option: Option) -> Callable[..., Any]:
-    kind: Any = options.PATH if option.kind is Path else option.kind
-    if option.choices:
-        kind = click.Choice(option.choices)
-    elif option.least is not None:
-        kind = options.Whole(option.least, option.most)
-    settings: dict[str, Any] = {"is_flag": True} if option.kind is bool else {"type": kind}
-    if option.default is not None:  # click takes a default of None for a value that was given
-        settings["default"] = option.default
-    return click.option(
-        option.flag,
-        option.parameter,
-        required=option.required,
-        multiple=option.multiple,
-        show_default=option.default not in (None, False, ()),
-        help=option.help,
-        **settings,
-    )
+    return click.Command(study.name, callback=run, params=parameters, help=help_text)
 
 
 def _command_line(study: Study, values: dict[str, Any]) -> str:
     """The command line that makes the record; of this machine's paths it has the last names."""
     words = [study.command]
-    for option in study.options:
-        value = values[option.parameter]
-        if option.flag in FOLDERS and value is not None:
-            words.append(f"{option.flag} DIR")
-        elif option.kind is bool:
-            words += [option.flag] if value else []
-        elif value != option.default:
-            for item in value if option.multiple else [value]:
-                words.append(f"{option.flag} {item.name if isinstance(item, Path) else item}")
+    for own in study.options:
+        value = values[own.name]
+        if own.flag in FOLDERS and value is not None:
+            words.append(f"{own.flag} DIR")
+        elif own.plain is bool:
+            words += [own.flag] if value else []
+        elif value != own.default:
+            for item in value if own.several else [value]:
+                words.append(f"{own.flag} {item.name if isinstance(item, Path) else item}")
     return " ".join(words)

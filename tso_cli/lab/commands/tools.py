@@ -28,12 +28,13 @@ def load(name: str) -> Study:
 
 @click.command("records")
 @click.argument("names", nargs=-1)
-@click.option("--meshes", type=options.PATH, help=lab_options.MESHES.help)
-@click.option("--unseen", type=options.PATH, help=lab_options.UNSEEN.help)
+@click.option("--meshes", type=options.PATH, help=lab_options.MESHES.option.help)
+@click.option("--unseen", type=options.PATH, help=lab_options.UNSEEN.option.help)
 @click.option("--photos", type=options.PATH, help="Folder of the photos, with their _par.txt.")
 @click.option(
     "--jobs",
-    type=options.Whole(1),
+    type=click.IntRange(1),
+    metavar="N",
     help="Records that are made at once, each on one core.  [default: the cores]",
 )
 @click.option("-o", "--output", type=options.PATH, required=True, help="Folder of the records.")

@@ -19,7 +19,9 @@ from ...geometry.points import farthest_point_sample, sample_surface
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES, example_meshes
 from ...optimisation.symmetry import find_mirror_plane
-from ...render import RayScene, RenderSettings, fitting_distance, look_at, render_view
+from ...render.rays import RayScene, render_view
+from ...render.settings import RenderSettings
+from ...render.viewpoints import fitting_distance, look_at
 from ..studies.cases import SAMPLES, CaseBuilder
 from ..studies.shapes import Shape, shapes_of_part
 

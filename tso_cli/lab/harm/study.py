@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from ...plots.style import BETTER as GAIN_COLOUR
 from ...plots.style import COLOURS, INK, PALE, page
 from ...plots.style import WORSE as HARM_COLOUR
 from .. import options
-from ..options import Option
+from ..options import option
 from ..studies.summary import grouped, rounded, summarised
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from .runs import (
@@ -228,17 +227,17 @@ STUDY = Study(
     "a bar is what hardly changed.",
     convention=CONVENTION,
     options=(
-        Option("--quick", "Shipped examples.", bool, False),
-        replace(options.MESHES, required=False),
+        option("--quick", "Shipped examples.", bool, False),
+        options.meshes(required=False),
         options.SPLIT,
         options.part("validation"),
         options.UNSEEN,
-        Option("--per", f"Scenes for each trouble and start.  [default: {SCENES}]", int, least=1),
-        Option(
+        option("--per", f"Scenes for each trouble and start.  [default: {SCENES}]", int, least=1),
+        option(
             "--trouble", "May be repeated.  [default: all]", default=(), multiple=True, name="names"
         ),
         options.SEED,
-        Option("--variants", "Also without a move as one, and the paper's preset.", bool, False),
+        option("--variants", "Also without a move as one, and the paper's preset.", bool, False),
     ),
     plan=plan,
     conclude=conclude,

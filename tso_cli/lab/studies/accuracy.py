@@ -17,7 +17,7 @@ from ...io.shipped import default_checkpoint
 from .. import options
 from ..charts import Panel, draw_ratios, pictures_at
 from ..harm.scenes import STARTS, Gallery, gallery
-from ..options import Option
+from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from .accuracy_claims import claims
 from .bounds import across_the_view
@@ -294,7 +294,7 @@ STUDY = Study(
         options.views(2),
         options.PRIOR,
         options.UNSEEN,
-        Option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
+        option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
         options.pictures("the worst and the median case of each category"),
     ),
     plan=plan,

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import render
 from ...datasets.variants import shape_type
 from ...errors import InputError
 from ...evaluation.metrics import chamfer
@@ -20,7 +19,9 @@ from ...geometry.rotations import from_quaternion
 from ...geometry.view import View
 from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
-from ...render import RayScene, RenderSettings
+from ...render.rays import RayScene, render_view
+from ...render.settings import RenderSettings
+from ...render.viewpoints import fitting_distance, look_at, sample_cameras
 from ...scene.network import network_scene
 from .shapes import Shape, shapes_of_part
 
@@ -177,12 +178,12 @@ class CaseBuilder:
         while True:
             if truncated:
                 angles = rng.uniform(*settings.azimuth), rng.uniform(*settings.elevation)
-                unit = render.look_at(*angles, 1.0, settings.size)
-                distance = TRUNCATING_DISTANCE * render.fitting_distance(vertices, unit)
-                camera = render.look_at(*angles, distance, settings.size)
+                unit = look_at(*angles, 1.0, settings.size)
+                distance = TRUNCATING_DISTANCE * fitting_distance(vertices, unit)
+                camera = look_at(*angles, distance, settings.size)
             else:
-                (camera,) = render.sample_cameras(settings, vertices, rng)
-            mask = render.render_view(scene, camera, rng).mask
+                (camera,) = sample_cameras(settings, vertices, rng)
+            mask = render_view(scene, camera, rng).mask
             border = np.concatenate([mask[[0, -1]].ravel(), mask[:, [0, -1]].ravel()])
             # Seen from its narrow side, a long object may fit: then another direction is drawn.
             if not truncated or border.max() > 127:
@@ -196,8 +197,8 @@ class CaseBuilder:
         assert self.network is not None
         assert self.about is not None
         settings = RenderSettings(views=1, size=(PICTURE, PICTURE))
-        (camera,) = render.sample_cameras(settings, scene.mesh.vertices, rng)
-        picture = render.render_view(scene, camera, rng)
+        (camera,) = sample_cameras(settings, scene.mesh.vertices, rng)
+        picture = render_view(scene, camera, rng)
         foreground = picture.mask.astype(np.float32) / 255.0
         view = View(foreground, camera, name=f"{shape.name}, view {case.view}")
         predicted = network_scene(picture.image, view, self.network, self.about, placing="camera")

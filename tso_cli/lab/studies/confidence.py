@@ -22,7 +22,7 @@ from ..harm.runs import BETTER, VIEWS, WORSE, altered, distance
 from ..harm.scenes import Gallery, Scene, gallery
 from ..harm.troubles import TROUBLES, Trouble
 from ..interrupts import uninterrupted
-from ..options import Option
+from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .summary import grouped, rounded
 
@@ -363,9 +363,9 @@ STUDY = Study(
         options.SPLIT,
         options.part("validation"),
         options.UNSEEN,
-        Option("--per", "Scenes for each trouble and start.", int, SCENES, least=1),
+        option("--per", "Scenes for each trouble and start.", int, SCENES, least=1),
         options.SEED,
-        Option("--fit", f"Fit the model first and write it here; in use is {MODEL.name}.", Path),
+        option("--fit", f"Fit the model first and write it here; in use is {MODEL.name}.", Path),
     ),
     plan=plan,
     conclude=conclude,

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from ...silhouette.projection import CameraBatch, Projected, project
-from ...train import TrainConfig
 from ...train.batches import Batch
+from ...train.config import TrainConfig
 from ...train.losses import mask_loss
 from ...train.step import Objective
 

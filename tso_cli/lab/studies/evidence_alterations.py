@@ -12,7 +12,7 @@ from ...geometry.camera import Camera
 from ...geometry.points import Array, farthest_point_sample, sample_surface
 from ...io.meshes import Mesh
 from ...optimisation.symmetry import find_mirror_plane
-from ...render import RayScene, render_view
+from ...render.rays import RayScene, render_view
 from .cases import SAMPLES, Case
 from .shapes import Shape
 

@@ -15,7 +15,8 @@ from ...geometry.arrays import Array
 from ...geometry.camera import intrinsics
 from ...geometry.view import View
 from ...refinement import RefineResult
-from ...render import RayScene, fitting_distance, render_view
+from ...render.rays import RayScene, render_view
+from ...render.viewpoints import fitting_distance
 from .cases import Case
 from .evidence_alterations import Alter, Rng, Truth, exact_depth, unaltered
 from .refining import Variant

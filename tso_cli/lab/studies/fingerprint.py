@@ -23,10 +23,11 @@ from ...optimisation.presets import Mode, Preset
 from ...pose.fit import fit_camera
 from ...prior.file import read_prior, shipped_prior
 from ...refinement import PRESETS, RefineConfig, RefineResult, refine
-from ...render import RenderSettings
+from ...render.settings import RenderSettings
 from ...scene.load import load_points_scene
 from ...scene.network import load_network_scene
-from ...train import TrainConfig, train
+from ...train.config import TrainConfig
+from ...train.loop import train
 from ...train.sources import shipped_examples
 from ..interrupts import uninterrupted
 from ..views import views_around
@@ -68,7 +69,7 @@ def _network_modes(preset: Preset) -> Numbers:
     scene, numbers = load_network_scene(*files, world=True), Numbers()
     modes: tuple[Mode, ...] = ("encoder", "encoder-decoder", "latent")
     for mode in modes:
-        config = RefineConfig(mode, preset=preset, steps=12)
+        config = RefineConfig(mode=mode, preset=preset, steps=12)
         result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
         uninterrupted(result)
         numbers |= _figures(mode, result, scene.to_output(result.points))
@@ -92,7 +93,7 @@ def _training() -> Numbers:
 
     At higher rates rounding changes it by several per cent.
     """
-    masks = TrainConfig("masks", views=1, steps=3, batch_size=3, learning_rate=3e-6)
+    masks = TrainConfig(supervision="masks", views=1, steps=3, batch_size=3, learning_rate=3e-6)
     configs = {
         "masks": masks,
         "printed Eq. 5": replace(masks, affinity="paper"),

@@ -20,7 +20,7 @@ from ...datasets.items import ObjectItem
 from ...evaluation.metrics import chamfer
 from ...geometry.points import Array, normalise_longest_side, sample_surface
 from ...network.model import BaseNetwork
-from ...render import RenderSettings
+from ...render.settings import RenderSettings
 from ...silhouette.chamfer import chamfer as batch_chamfer
 from ...train.batches import Draw, assemble
 from ...train.data import TrainingData

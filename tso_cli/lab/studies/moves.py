@@ -20,7 +20,7 @@ from ...refinement import RefineConfig, refine
 from .. import options
 from ..charts import draw_bars
 from ..interrupts import uninterrupted
-from ..options import Option
+from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from .cases import Case, CaseBuilder, kinds_of
 from .shapes import Shape, shapes_of_part
@@ -218,7 +218,7 @@ STUDY = Study(
         *options.COMMON,
         options.part("test"),
         options.views(1),
-        Option(
+        option(
             "--size",
             "Width and height of the masks, px. May be repeated: by further sizes, clouds of the "
             "right shape are moved alone.",

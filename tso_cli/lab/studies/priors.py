@@ -18,7 +18,8 @@ from ...io.meshes import read_mesh
 from ...plots.style import COLOURS, page
 from ...prior.file import read_prior, shipped_prior
 from ...prior.network import TROUBLES, initial
-from ...render import FAMILIES, normalise
+from ...render.families import FAMILIES
+from ...render.normalise import normalise
 from ...train.prior.bank import Bank, build_bank
 from ...train.prior.config import PriorConfig
 from ...train.prior.loop import train
@@ -30,7 +31,7 @@ from ...train.prior.state import new_state
 from ...workers.pool import cores
 from .. import options
 from ..harm.scenes import unseen_shapes
-from ..options import Option
+from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, crossed
 from .confidence import auc
 from .shapes import SPLIT
@@ -124,7 +125,13 @@ def plan(
 
     def trained(training: Training) -> Cases:
         fingerprint, bank = seen_by(replace(training, name="", steps=0))
-        config = PriorConfig(training.steps, BATCH_SIZE, scenes, precision="bfloat16", seed=seed)
+        config = PriorConfig(
+            steps=training.steps,
+            batch_size=BATCH_SIZE,
+            scenes=scenes,
+            precision="bfloat16",
+            seed=seed,
+        )
         state = new_state(initial(seed), fingerprint, torch.device("cpu"))
         began, stepping = time.process_time(), reporting(training.name)
         if train(bank, config, state, progress=stepping, workers=cores()) == "interrupted":
@@ -377,10 +384,10 @@ STUDY = Study(
     options=(
         options.MESHES,
         options.SPLIT,
-        replace(options.UNSEEN, required=True),
-        Option("--steps", "Of a training of the ablation.", int, STEPS, least=10),
-        Option("--longest", "Steps of the longest training.", int, CURVE[-1], least=10),
-        Option("--scenes", "That each training draws.", int, SCENES, least=10),
+        options.unseen(required=True),
+        option("--steps", "Of a training of the ablation.", int, STEPS, least=10),
+        option("--longest", "Steps of the longest training.", int, CURVE[-1], least=10),
+        option("--scenes", "That each training draws.", int, SCENES, least=10),
         options.SEED,
     ),
     plan=plan,

@@ -43,7 +43,9 @@ POINTS = {
 }
 FIRST_MODES: tuple[Mode, ...] = ("latent", "encoder-decoder")
 COMBINED = {
-    f"{mode}, then points": Variant(RefineConfig(mode, accept_doubtful=True), then=RefineConfig())
+    f"{mode}, then points": Variant(
+        RefineConfig(mode=mode, accept_doubtful=True), then=RefineConfig()
+    )
     for mode in FIRST_MODES
 }
 ABLATION = {

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ... import render
 from ...datasets.splits import read_part
 from ...errors import InputError
 from ...geometry.points import Array
@@ -20,6 +19,11 @@ from ...io.checkpoints import load_network
 from ...io.meshes import Mesh, find_meshes, read_mesh
 from ...network.model import BaseNetwork, NetworkConfig
 from ...prior.learned import named_prior
+from ...render.folder import ground_truth
+from ...render.normalise import normalise
+from ...render.rays import RayScene, RenderedView, render_view
+from ...render.settings import RenderSettings
+from ...render.viewpoints import sample_cameras
 
 SPLIT = Path(__file__).with_name("split.json")
 """Training, validation and test shapes of the shipped network."""
@@ -38,16 +42,16 @@ class Shape:
 
     def mesh(self) -> Mesh:
         """Longest side 1, centred."""
-        return render.normalise(read_mesh(self.path))
+        return normalise(read_mesh(self.path))
 
 
 @dataclass(frozen=True, eq=False)
 class RenderedShape:
     """A shape, ``target`` [1024, 3] float64 on its surface, and rendered views."""
 
-    scene: render.RayScene
+    scene: RayScene
     target: Array
-    views: list[render.RenderedView]
+    views: list[RenderedView]
 
 
 def shapes_of_part(
@@ -89,16 +93,14 @@ def shapes_of_part(
     return [Shape(name, meshes[name]) for name in chosen]
 
 
-def see(shape: Shape, settings: render.RenderSettings, seed: int) -> RenderedShape:
+def see(shape: Shape, settings: RenderSettings, seed: int) -> RenderedShape:
     """Render a shape; everything random depends on ``seed`` and the shape's name alone."""
     rng = np.random.default_rng([seed, zlib.crc32(shape.name.encode())])
     mesh = shape.mesh()
-    target = render.ground_truth(mesh, settings, rng)[1].astype(np.float64)
-    scene = render.RayScene(mesh)
-    cameras = render.sample_cameras(settings, mesh.vertices, rng)
-    return RenderedShape(
-        scene, target, [render.render_view(scene, camera, rng) for camera in cameras]
-    )
+    target = ground_truth(mesh, settings, rng)[1].astype(np.float64)
+    scene = RayScene(mesh)
+    cameras = sample_cameras(settings, mesh.vertices, rng)
+    return RenderedShape(scene, target, [render_view(scene, camera, rng) for camera in cameras])
 
 
 def view_aligned_network(checkpoint: Path) -> tuple[BaseNetwork, NetworkConfig]:

@@ -13,7 +13,7 @@ import numpy as np
 from ...io.shipped import CATEGORIES
 from ...losses.silhouette import silhouette_of
 from ...plots.style import COLOURS, page
-from ...render import RenderSettings
+from ...render.settings import RenderSettings
 from .. import options
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .shapes import RenderedShape, Shape, see, shapes_of_part

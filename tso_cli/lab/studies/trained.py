@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from ...train import TrainConfig, train
+from ...train.config import TrainConfig
 from ...train.data import TrainingData
+from ...train.loop import train
 from .. import options
 from ..charts import Rows, draw_bars
 from ..interrupts import uninterrupted
-from ..options import Option
+from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed
 from .discretised import DEPTH, projected_objective
 from .material import (
@@ -199,11 +200,11 @@ OPTIONS = (
     options.SPLIT,
     options.part("test"),
     options.categories(note="see above"),
-    Option("--steps", "Of every network.  [default: see above]", int, least=1),
-    Option("--batch-size", kind=int, default=8, least=1),
-    Option("--limit", "Training shapes of a category.", int, 32, least=1),
+    option("--steps", "Of every network.  [default: see above]", int, least=1),
+    option("--batch-size", kind=int, default=8, least=1),
+    option("--limit", "Training shapes of a category.", int, 32, least=1),
     options.SEED,
-    Option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu"),
+    option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu"),
 )
 
 

@@ -20,12 +20,13 @@ from ...io.shipped import CATEGORIES
 from ...network.model import BaseNetwork, NetworkConfig
 from ...optimisation.presets import Mode
 from ...refinement import RefineConfig, refine
-from ...render import RayScene, RenderSettings
+from ...render.rays import RayScene
+from ...render.settings import RenderSettings
 from ...scene.network import network_scene
 from .. import options
 from ..charts import Panel, draw_ratios
 from ..interrupts import uninterrupted
-from ..options import Option
+from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .shapes import RenderedShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
 from .summary import grouped, interval, mean, ratio_figures
@@ -316,7 +317,7 @@ STUDY = Study(
         options.part("test"),
         options.categories(),
         options.views(4),
-        Option("--steps", kind=int, default=50, least=0),
+        option("--steps", kind=int, default=50, least=0),
     ),
     plan=plan,
     conclude=conclude,

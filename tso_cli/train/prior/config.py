@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
-from ...errors import InputError
+from ...option import check, opt
 
 RISING_STEPS = 100  # over these the learning rate rises, or over a tenth of a short training
 # After these steps the learning rate falls by their square root, and over the last share of all
@@ -18,51 +18,48 @@ AVERAGING = 0.999  # decay of the running mean of the weights, which is saved
 OF_PREDICTIONS = ("predicted_by", "predictions")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PriorConfig:
-    """The settings of one training; InputError for a setting out of range.
+    """The settings of the training of a prior; InputError for a setting out of range.
 
-    Parameters
-    ----------
-    steps : optimiser steps in all; the learning rate is 0 after the last.
-    batch_size : starts in a step.
-    scenes : scenes that are drawn before the training.
     predicted_by : name of the network whose predictions are starts too (`Predictor.name`); None
         for no such starts.
-    predictions : the most predictions that are drawn before the training.
     initial : name of the prior whose weights the training starts from (`io.reading.name_of`); None
         for random weights.
-    by_rule : shapes of each family that are learned from, next to meshes.
-    marred, depth_maps : see `scenes.Chances`.
-    precision : "bfloat16" runs the network in mixed precision.
     recipe : name and digest of the file that the settings are from, or None.
-    seed : seed of the weights and of every draw. A run depends on the seed, the shapes and the
-        device alone.
+
+    A run depends on the seed, the shapes and the device alone.
+
+    by_rule : Shapes of each family that the prior learns from, with or without MESHES; `tso render`
+        names the families.
+    marred : Share of the masks that have a trouble, such as an arm or a hole.
+    depth_maps : Share of the scenes that have depth maps.
+    scenes : Scenes to draw before the training; 1,000 take 40 s.
+    predictions : Most predictions of `predicted_by`; 100 take 10 s.
+    steps : Optimiser steps in all, those before `resume` included; the learning rate is 0 after the
+        last.
+    batch_size : Starts in a step.
+    precision : Number format of the network's layers; bfloat16 is mixed precision.
+    device : cpu, cuda, cuda:1, mps or auto.
+    seed : Seed of all random numbers.
     """
 
-    steps: int = 3000
-    batch_size: int = 64
-    scenes: int = 8000
+    by_rule: int = opt(0, heading="Data", brief=True, least=2, neutral=(0,))
+    marred: float = opt(0.4, least=0.0, most=1.0)
+    depth_maps: float = opt(0.4, least=0.0, most=1.0)
+    scenes: int = opt(8000, brief=True, least=1)
+    predictions: int = opt(1600, least=1)
+    steps: int = opt(3000, heading="Optimisation", brief=True, least=1)
+    batch_size: int = opt(64, brief=True, least=1)
+    precision: Literal["float32", "bfloat16"] = opt("float32")
+    device: str = opt("cpu", heading="Running", metavar="DEVICE", brief=True)
+    seed: int = opt(0, least=0, most=2**63 - 1)
     predicted_by: str | None = None
-    predictions: int = 1600
     initial: str | None = None
-    by_rule: int = 0
-    marred: float = 0.4
-    depth_maps: float = 0.4
-    precision: str = "float32"
     recipe: str | None = None
-    seed: int = 0
-    device: str = "cpu"
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch_size", "scenes", "predictions"):
-            if getattr(self, name) < 1:
-                raise InputError(f"`{name}` is {getattr(self, name)}, expected 1 or more")
-        for name in ("marred", "depth_maps"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(f"`{name}` is {getattr(self, name):g}, expected 0 to 1")
-        if self.by_rule == 1:
-            raise InputError("`by_rule` is 1, expected 2 or more: a start is another shape, or 0")
+        check(self)
 
     def settings(self) -> dict[str, Any]:
         """What a resumed run must have in common with the run that it continues.

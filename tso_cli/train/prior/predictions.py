@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from ... import render
 from ...errors import InputError, needed_by
 from ...geometry.arrays import Array, Floats, Indices
 from ...geometry.camera import CANONICAL_ROTATION, Camera, intrinsics
@@ -21,6 +20,7 @@ from ...io.meshes import Mesh
 from ...io.reading import name_of
 from ...io.shipped import CATEGORIES, DEFAULT, named_checkpoint
 from ...network.input import network_input
+from ...render.rays import RayScene, render_view
 from ...render.variation import paint
 from .masks import HALF_SIDE
 from .scenes import LEAST_FOREGROUND, Scene, deformed
@@ -176,7 +176,7 @@ def _seen(
     K = intrinsics(distance * PICTURE / (2.0 * HALF_SIDE), PICTURE, PICTURE)
     rotation = scene.views[0].rotation.astype(np.float64)
     camera = Camera(K, rotation, np.array([0.0, 0.0, distance]), PICTURE, PICTURE)
-    picture = render.render_view(render.RayScene(mesh), camera, rng)
+    picture = render_view(RayScene(mesh), camera, rng)
     mask = picture.mask.astype(np.float32) / 255.0
     if not LEAST_FOREGROUND <= (mask > 0.5).sum() < mask.size:
         return None

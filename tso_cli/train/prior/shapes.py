@@ -18,7 +18,8 @@ from ...errors import InputError
 from ...geometry.arrays import Array, Floats
 from ...geometry.points import farthest_point_sample, sample_surface
 from ...io.meshes import Mesh, find_meshes, read_mesh
-from ...render import FAMILIES, normalise, shape_of
+from ...render.families import FAMILIES, shape_of
+from ...render.normalise import normalise
 
 Progress = Callable[[int, int, str], None]
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ..geometry.arrays import Array
-from ..pose.fit import FittedCamera
-from ..pose.move import Move
-from ..refinement import RefineResult
+from ...geometry.arrays import Array
+from ...pose.fit import FittedCamera
+from ...pose.move import Move
+from ...refinement import RefineResult
 
 
 def move_document(move: Move) -> dict[str, Any]:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from ..batch.journal import NAME, read_journals
-from ..io.output import write_file
-from ..plots.index_page import COLUMNS, index_page
-from .refine_record import record_of
+from ...batch.journal import NAME, read_journals
+from ...io.output import write_file
+from ...plots.index_page import COLUMNS, index_page
+from ..refine.outputs import record_of
 
 INDEX, PICTURES = "index.html", "pictures"
 NO_PICTURES = (

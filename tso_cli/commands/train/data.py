@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..datasets.items import Dataset
-from ..datasets.opening import open_dataset
-from ..datasets.splits import read_part
-from ..errors import InputError
-from ..io.shipped import example_meshes
-from ..train.backgrounds import Backgrounds
-from ..train.data import TrainingData
-from ..train.sources import from_meshes
-from .options import ProgressBar, log
+from ...datasets.items import Dataset
+from ...datasets.opening import open_dataset
+from ...datasets.splits import read_part
+from ...errors import InputError
+from ...io.shipped import example_meshes
+from ...train.backgrounds import Backgrounds
+from ...train.data import TrainingData
+from ...train.sources import from_meshes
+from ..options import ProgressBar, log
 
 
 @dataclass(frozen=True)

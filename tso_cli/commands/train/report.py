@@ -7,11 +7,12 @@ from typing import Any
 
 import click
 
-from ..train import TrainConfig, TrainResult, evaluate
-from ..train.data import TrainingData
-from ..train.sources import shipped_examples
-from ..train.state import state_path
-from ..version import __version__
+from ...train.config import TrainConfig
+from ...train.data import TrainingData
+from ...train.loop import TrainResult, evaluate
+from ...train.sources import shipped_examples
+from ...train.state import state_path
+from ...version import __version__
 
 FROM_CONFIG = (
     "supervision", "frame", "points", "sigma_sq", "learning_rate", "batch_size", "device", "seed",

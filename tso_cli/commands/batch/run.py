@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..batch.engines import engine
-from ..batch.journal import ENDS, Journal, Past, journals_of, open_journal, read_journals
-from ..batch.manifest import folder_of, read_manifest
-from ..batch.remote import exists, is_remote
-from ..batch.run import Outcome, Summary, run, tasks_of, waiting_for_items
-from ..errors import InputError, Interrupted
-from ..io.output import check_output, make_folder, sole_writer
-from ..workers import cores
-from . import options
-from .batch_arguments import arguments_of, written_by
-from .batch_item import refine_item, unchanged
-from .batch_page import INDEX, write_index
+from ...batch.engines import engine
+from ...batch.journal import ENDS, Journal, Past, journals_of, open_journal, read_journals
+from ...batch.manifest import folder_of, read_manifest
+from ...batch.remote import exists, is_remote
+from ...batch.run import Given, Outcome, Summary, run, tasks_of, waiting_for_items
+from ...errors import Interrupted
+from ...io.output import check_output, make_folder, sole_writer
+from ...workers import cores
+from .. import options
+from .item import refine_item, unchanged
+from .items import options_of_items, written_by
+from .options import BatchOptions
+from .page import INDEX, write_index
 
 NOT_ALL_DONE = 3
 """The exit code if an item failed, was refused or is doubtful."""
@@ -29,33 +29,17 @@ INTERRUPTED = 130
 MOST_LISTED = 5
 
 
-@dataclass(frozen=True)
 class BatchRun:
-    """The options of `tso batch`; InputError if they do not go together."""
+    """One run of a batch."""
 
-    manifest: Path | str  # an address
-    output: Path
-    strict: bool
-    overwrite: bool
-    report: bool
-    jobs: int | None
-    shard: tuple[int, int] | None
-    engine: str
-    scheduler: str | None
-    quiet: bool
-    as_json: bool
-
-    def __post_init__(self) -> None:
-        if self.scheduler is not None and self.engine != "dask":
-            raise InputError(
-                f"--scheduler {self.scheduler} is for --engine dask, found --engine {self.engine}"
-            )
+    def __init__(self, chosen: BatchOptions) -> None:
+        self.options, self.output = chosen, chosen.output
 
     def run(self) -> int:
         """Run the batch and print what became of it; the exit code."""
         items, begun = self._items(), time.perf_counter()
         make_folder(self.output)
-        own, others = journals_of(self.output, self.shard)
+        own, others = journals_of(self.output, self.options.shard)
         self._check_index(own, others)
         try:
             with open_journal(own) as journal:
@@ -65,14 +49,14 @@ class BatchRun:
                 summary = self._run(items, journal, read_journals([own, *others]))
         except KeyboardInterrupt:
             raise Interrupted("interrupted; the same command goes on") from None
-        if self.report:
+        if self.options.report:
             write_index(self.output)
         seconds = time.perf_counter() - begun
-        if self.as_json:
+        if self.options.as_json:
             options.echo_json(_document(summary, seconds))
-        elif not self.quiet:
+        elif not self.options.quiet:
             _print(summary, own, seconds)
-            if self.report:
+            if self.options.report:
                 click.echo(f"{self.output / INDEX}: a page of all items")
         if summary.interrupted:
             return INTERRUPTED
@@ -81,27 +65,27 @@ class BatchRun:
     def _check_index(self, own: Path, others: list[Path]) -> None:
         """Refuse to replace a page that no batch has written."""
         of_batch = own.exists() or others
-        if self.report and not of_batch:
-            check_output(self.output / INDEX, self.overwrite)
+        if self.options.report and not of_batch:
+            check_output(self.output / INDEX, self.options.overwrite)
 
-    def _items(self) -> list[tuple[str, tuple[str, ...]]]:
-        """The name and the arguments of each item."""
-        more = ["--strict"] if self.strict else []
-        items, folder = read_manifest(self.manifest), folder_of(self.manifest)
-        return arguments_of(items, folder, self.output, more, self.shard or (1, 1))
+    def _items(self) -> list[tuple[str, Given]]:
+        """The name and the options of each item."""
+        given, manifest = self.options, self.options.manifest
+        items, folder = read_manifest(manifest), folder_of(manifest)
+        return options_of_items(items, folder, self.output, given.strict, given.shard or (1, 1))
 
     def _run(
         self,
-        items: list[tuple[str, tuple[str, ...]]],
+        items: list[tuple[str, Given]],
         journal: Journal,
         past: dict[str, Past],
     ) -> Summary:
-        tasks = tasks_of(items, past, self._refusal, self.strict)
+        tasks = tasks_of(items, past, self._refusal, self.options.strict)
         bar = options.ProgressBar("tso: refining", delay=0.0)
-        processes = min(self.jobs or cores(), max(1, len(tasks)))
+        processes = min(self.options.jobs or cores(), max(1, len(tasks)))
         with (
             waiting_for_items() as interrupted,
-            engine(self.engine, processes, self.scheduler) as used,
+            engine(self.options.engine, processes, self.options.scheduler) as used,
         ):
             begun = time.perf_counter()
 
@@ -109,10 +93,10 @@ class BatchRun:
                 new = summary.done - summary.skipped
                 pace = new / max(time.perf_counter() - begun, 1e-9)
                 note = f"items, {pace:.1f}/s, {len(summary.ended)} doubtful or worse"
-                if not self.quiet:
+                if not self.options.quiet:
                     bar(summary.done, summary.total, note)
 
-            pictures = self.output if self.report else None
+            pictures = self.output if self.options.report else None
             work = partial(refine_item, pictures=pictures)
             try:
                 return run(
@@ -122,13 +106,13 @@ class BatchRun:
             finally:
                 bar.close()
 
-    def _refusal(self, item: str, arguments: tuple[str, ...]) -> str:
+    def _refusal(self, item: str, given: Given) -> str:
         """Why an item that no run has begun must not begin."""
-        if self.overwrite:
+        if self.options.overwrite:
             return ""
         there = [
-            one for one in written_by(arguments)
-            if (exists(one) if is_remote(one) else Path(one).exists())
+            file for file in written_by(given)
+            if (exists(file) if is_remote(file) else Path(file).exists())
         ]  # fmt: skip
         return f"{there[0]}: exists already, expected a new name or --overwrite" if there else ""
 

@@ -8,19 +8,20 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-import click
-
-from ..batch.remote import cameras_of, exists, is_remote, local, state_of
-from ..batch.run import Outcome, Task
-from ..errors import InputError, TsoError
-from ..io.output import atomic_output
-from . import options
-from .refine import command as refine_command
-from .refine_files import RefineInputs
-from .refine_outputs import NAMED
-from .refine_record import digest_of, key_of, record_of
-from .refine_run import RefineRun
+from ...batch.remote import cameras_of, exists, is_remote, local, state_of, texts_of
+from ...batch.run import Given, Outcome, Task
+from ...errors import InputError, TsoError
+from ...io.output import atomic_output
+from ...io.reading import digest_of
+from ...option import declared
+from .. import options
+from ..refine.inputs import RefineInputs
+from ..refine.options import RefineOptions
+from ..refine.outputs import NAMED, record_of
+from ..refine.record import key_of
+from ..refine.run import RefineRun
 
 # Errors of a disk or network that may be over after a moment, and the seconds to wait before each
 # attempt; and those of a disk that needs somebody's hand.
@@ -32,29 +33,32 @@ PAUSES = (0.0, 0.5, 2.0)
 OF_THE_DISK = (*PASSING, errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
-def context_of(arguments: Sequence[str]) -> click.Context:
-    """What `tso refine` makes of its arguments; raises click's errors."""
-    # click keeps the help option of the first context for all later ones.
-    return refine_command.make_context("refine", list(arguments), **options.CONTEXT)
+def options_of(given: Given) -> RefineOptions:
+    """The options of an item, whose paths are text; InputError if they do not go together."""
+    table = declared(RefineOptions)
+
+    def typed(name: str, value: Any) -> Any:
+        if table[name].plain is not Path or value is None:
+            return value
+        return tuple(map(Path, value)) if isinstance(value, tuple) else Path(value)
+
+    return RefineOptions(**{name: typed(name, value) for name, value in given.items()})
 
 
-def _cameras(task: Task, ctx: click.Context) -> dict[str, str]:
+def _cameras(given: Given) -> dict[str, str]:
     """Remote mask -> the camera file next to it, unless the item names its camera."""
-    masks = task.arguments[task.arguments.index("--") + 2 :]
-    return {} if ctx.params["camera"] else cameras_of(masks)
+    return {} if given.get("camera") else cameras_of(given.get("masks", ()))
 
 
-def _key(task: Task, ctx: click.Context, cameras: Mapping[str, str]) -> str:
+def _key(task: Task, chosen: RefineOptions, cameras: Mapping[str, str]) -> str:
     """The key of an item: its settings, the contents of its files, the state of remote files.
 
     ``cameras`` are those next to its masks.
     """
-    files = options.pick(RefineInputs, ctx.params).files
-    remote = [word for word in task.arguments if is_remote(word) and word != task.item]
+    remote = [text for text in texts_of(task.given) if is_remote(text) and text != task.item]
     states = [state_of(address) for address in (*remote, *cameras.values())]
-    return key_of(
-        options.given(ctx), [*states, *(digest_of(file) for file in files if not _fetched(file))]
-    )
+    digests = [digest_of(file) for file in RefineInputs(chosen).files if not _fetched(file)]
+    return key_of({name: getattr(chosen, name) for name in task.given}, [*states, *digests])
 
 
 def _fetched(path: Path) -> bool:
@@ -64,13 +68,13 @@ def _fetched(path: Path) -> bool:
 
 def unchanged(task: Task) -> bool:
     """Whether the inputs and settings of an item have the key of its last end."""
-    ctx = context_of(task.arguments)
+    chosen = options_of(task.given)
     if task.written:
-        output = ctx.params["output"]
-        there = exists(task.item) if is_remote(task.item) else output.is_file()
-        if not there or not (is_remote(task.item) or Path(record_of(str(output))).is_file()):
+        output = task.given["output"]
+        there = exists(task.item) if is_remote(task.item) else Path(output).is_file()
+        if not there or not (is_remote(task.item) or Path(record_of(output)).is_file()):
             return False
-    return _key(task, ctx, _cameras(task, ctx)) == task.key
+    return _key(task, chosen, _cameras(task.given)) == task.key
 
 
 def refine_item(task: Task, pictures: Path | None) -> Outcome:
@@ -84,52 +88,44 @@ def refine_item(task: Task, pictures: Path | None) -> Outcome:
         try:
             outcome = _refined(task, pictures)
             break
-        except (TsoError, OSError, click.ClickException) as error:
-            text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-            unusable = isinstance(error, (InputError, click.ClickException))
-            refused = unusable and not _caused_by(error, OF_THE_DISK)
-            outcome = Outcome("refused" if refused else "failed", reason=text)
+        except (TsoError, OSError) as error:
+            refused = isinstance(error, InputError) and not _caused_by(error, OF_THE_DISK)
+            outcome = Outcome("refused" if refused else "failed", reason=str(error))
             if not _caused_by(error, PASSING):
                 break
     return replace(outcome, seconds=time.perf_counter() - begun)
 
 
 def _refined(task: Task, pictures: Path | None) -> Outcome:
-    ctx = context_of(task.arguments)
-    cameras = _cameras(task, ctx)
-    key = _key(task, ctx, cameras)
-    with local(task.arguments, task.item if is_remote(task.item) else "", cameras) as files:
-        ctx = context_of(files.words) if files.folders else ctx
-        outcome = _of_files(ctx, task.item, key, pictures)
-        record = Path(record_of(str(ctx.params["output"])))
-        for text in (record, ctx.params["report"], ctx.params["write_camera"]):
+    cameras = _cameras(task.given)
+    key = _key(task, options_of(task.given), cameras)
+    with local(task.given, task.item if is_remote(task.item) else "", cameras) as files:
+        # Files that are not of this batch were refused before; one of its own may be half of a
+        # result.
+        own = {"overwrite": True, "record": True, "quiet": True}
+        chosen = options_of({**files.given, **own})
+        outcome = _of_files(chosen, files.given, task.item, key, pictures)
+        record = Path(record_of(str(chosen.output)))
+        for text in (record, chosen.report, chosen.write_camera):
             if text is not None and text.is_file():
                 files.name_in(text)
         return replace(outcome, reason=files.named(outcome.reason))
 
 
 def _of_files(
-    ctx: click.Context,
-    item: str,
-    key: str,
-    pictures: Path | None,
+    chosen: RefineOptions, given: Given, item: str, key: str, pictures: Path | None
 ) -> Outcome:
-    chosen = dict(ctx.params)
-    strict = chosen.pop("strict")
-    for name in ("check", "quiet", "verbose", "as_json"):
-        chosen.pop(name)
-    # Files that are not of this batch were refused before; one of its own may be half of a result.
-    chosen["overwrite"] = chosen["record"] = True
+    given = {name: getattr(chosen, name) for name in given}
     for name in ("output", *NAMED):
-        if chosen[name] is not None:
-            chosen[name].parent.mkdir(parents=True, exist_ok=True)
-    with ctx, options.Warnings(quiet=True) as warned:
-        run = RefineRun(chosen, options.given(ctx), warned.texts, False, strict, True, False, False)
-        report, unwritten = run.work()
+        if (file := getattr(chosen, name)) is not None:
+            file.parent.mkdir(parents=True, exist_ok=True)
+    with options.Warnings(quiet=True) as warned:
+        line = options.command_line("refine", RefineOptions, given)
+        report, unwritten = RefineRun(chosen, given, warned.texts, line).work()
         document = report.document(warned.texts, written=not unwritten)
         if pictures is not None:
-            from ..plots.thumbnail import write_thumbnail
-            from .batch_page import picture_of
+            from ...plots.thumbnail import write_thumbnail
+            from .page import picture_of
 
             picture = picture_of(pictures, item)
             picture.parent.mkdir(parents=True, exist_ok=True)

@@ -7,18 +7,18 @@ from typing import Any
 
 import click
 
-from ..cloud.cloud import ControlledCloud
-from ..diagnosis.examine import Diagnosis, NoOverlapError
-from ..diagnosis.placement import LEAST_BOX_IOU, Placement, describe_box
-from ..diagnosis.trust import UNSURE
-from ..geometry.arrays import Array
-from ..geometry.camera import Camera
-from ..kernels import blas
-from ..optimisation.settings import Settings
-from ..refinement.run import check
-from ..scene.load import Scene
-from ..version import __version__
-from . import options
+from ...cloud.cloud import ControlledCloud
+from ...diagnosis.examine import Diagnosis, NoOverlapError
+from ...diagnosis.placement import LEAST_BOX_IOU, Placement, describe_box
+from ...diagnosis.trust import UNSURE
+from ...geometry.arrays import Array
+from ...geometry.camera import Camera
+from ...kernels import blas
+from ...optimisation.config import Settings
+from ...refinement.run import check
+from ...scene.load import Scene
+from ...version import __version__
+from .. import options
 from .sentences import Words
 from .sentences_of_moves import move_document, reading_of, words_of_move
 

@@ -7,22 +7,20 @@ import time
 import warnings
 from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
-from ..diagnosis.assumptions import left_handed
-from ..diagnosis.examine import NoOverlapError
-from ..errors import GateError, InputError
-from ..geometry.arrays import Array
-from ..io.clouds import output_suffix
-from ..io.reading import require_memory
-from ..refinement import RefineConfig, RefineResult, refine
-from . import options
-from .refine_check import check_scene
-from .refine_files import InputOptions, RefineInputs
-from .refine_outputs import Finished, RefineOutputs
-from .refine_record import record_of
-from .refine_report import RefineReport
+from ...diagnosis.assumptions import left_handed
+from ...diagnosis.examine import NoOverlapError
+from ...errors import GateError, InputError
+from ...geometry.arrays import Array
+from ...io.reading import require_memory
+from ...refinement import RefineResult, refine
+from .. import options
+from .check import check_scene
+from .inputs import RefineInputs
+from .options import RefineOptions
+from .outputs import Finished, RefineOutputs
+from .report import RefineReport
 from .sentences import Words
 
 # Memory of one control point.
@@ -33,76 +31,33 @@ INTERRUPTED = 130
 """The exit code after Ctrl-C."""
 
 
-def check_options(chosen: Mapping[str, Any]) -> None:
-    """InputError for options that do not go together or are out of range; no file is read."""
-    options.pick(InputOptions, chosen)
-    if chosen["mode"] != "points":
-        moves = chosen["move"] not in (None, "shape") and f"move {chosen['move']}"
-        for name in ("refine_camera", "only", "write_transform", "write_camera"):
-            if moves or chosen[name]:
-                raise InputError(
-                    f"--{moves or name.replace('_', '-')} is for --mode points, found --mode "
-                    f"{chosen['mode']}, which places its cloud before the camera itself"
-                )
-    if chosen["refine_camera"] and chosen["move"] not in (None, "camera"):
-        raise InputError(f"--refine-camera and --move {chosen['move']}, expected one of the two")
-    settings = options.pick(RefineConfig, with_move(chosen)).settings()
-    if chosen["write_transform"] and settings.move in ("shape", "camera"):
-        raise InputError(
-            f"--write-transform is for a cloud that moves as one, found --move {settings.move}, "
-            "which leaves it where it is"
-        )
-
-
-def with_move(chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """The options with --refine-camera as the move that it stands for."""
-    return {**chosen, "move": "camera" if chosen["refine_camera"] else chosen["move"]}
-
-
 class RefineRun:
     """What the options ask for, read and checked.
 
-    ``given`` are those of the ``chosen`` options that were not left to their defaults. ``warned``
-    collects the warnings of the run.
+    ``given`` are those of the ``options`` that were not left to their defaults. ``warned`` collects
+    the warnings of the run. ``line`` is the command for a shell.
     """
 
     def __init__(
-        self,
-        chosen: dict[str, Any],
-        given: dict[str, Any],
-        warned: list[str],
-        check: bool,
-        strict: bool,
-        quiet: bool,
-        verbose: bool,
-        as_json: bool,
+        self, chosen: RefineOptions, given: Mapping[str, Any], warned: list[str], line: str
     ) -> None:
         self._started = time.perf_counter()
-        self._given = given
-        self._warned, self._strict, self._as_json = warned, strict, as_json
-        self._quiet, self._verbose = quiet, verbose
-        check_options(chosen)
-        self._inputs = options.pick(RefineInputs, chosen)
-        source = self._inputs.source
-        suffix = output_suffix(source) if self._inputs.mode == "points" else ".ply"
-        output = chosen["output"] or Path(f"{source.stem}.refined{suffix}")
-        record = Path(record_of(str(output))) if chosen["record"] else None
-        named = {**chosen, "output": output, "own_suffix": suffix, "record": record}
-        self._outputs = options.pick(RefineOutputs, named)
-        if not check:
+        self._options, self._given, self._warned, self._line = chosen, given, warned, line
+        self._inputs, self._outputs = RefineInputs(chosen), RefineOutputs(chosen)
+        if not chosen.check:
             self._outputs.check(self._inputs.files)
-        self._iterates = None if check else self._outputs.recorder()
+        self._iterates = None if chosen.check else self._outputs.recorder()
         self._scene = self._inputs.load()
-        if verbose or (check and not quiet):
+        if chosen.verbose or (chosen.check and not chosen.quiet):
             self._log_sources()
-        self._config = self._configured(chosen)
+        of_paper = chosen.sigma_sq is None and chosen.preset == "paper"
+        self._config = chosen.config(**{"sigma_sq": self._scene.sigma_sq} if of_paper else {})
         self._settings = self._config.settings()
-        names = [view.name for view in self._scene.views]
         self._words = Words(
-            names,
-            self._inputs.invert_mask,
-            [str(file) for file in self._inputs.depth],
-            self._inputs.depth_scale or 1.0,
+            [view.name for view in self._scene.views],
+            chosen.invert_mask,
+            [str(file) for file in chosen.depth],
+            chosen.depth_scale or 1.0,
             may_turn=self._settings.move in ("auto", "shape"),
             accepting=self._settings.accept_doubtful,
         )
@@ -110,10 +65,15 @@ class RefineRun:
     def check(self) -> int:
         """Examine the input alone; the exit code."""
         reason = check_scene(
-            self._scene, self._settings, self._words, self._as_json, self._quiet, self._warned
+            self._scene,
+            self._settings,
+            self._words,
+            self._options.as_json,
+            self._options.quiet,
+            self._warned,
         )
-        if reason and self._strict:
-            raise GateError(f"{self._inputs.source}: the result would be doubtful: {reason}")
+        if reason and self._options.strict:
+            raise GateError(f"{self._options.source}: the result would be doubtful: {reason}")
         return 0
 
     def refine(self) -> int:
@@ -122,7 +82,7 @@ class RefineRun:
         self._print(report, refused)
         if report.result.fit.stop_reason == "interrupted":
             return INTERRUPTED
-        return LEFT if self._strict and not report.result.moved else 0
+        return LEFT if self._options.strict and not report.result.moved else 0
 
     def work(self) -> tuple[RefineReport, bool]:
         """Refine and write the files: the report, and whether --strict left them unwritten."""
@@ -130,11 +90,11 @@ class RefineRun:
         read = time.perf_counter() - self._started
         result = self._refined()
         writing = time.perf_counter()
-        refused = self._strict and result.trust.verdict in ("doubtful", None)
+        refused = self._options.strict and result.trust.verdict in ("doubtful", None)
         if not refused:
             seconds = {"read": read, **result.cost.seconds}
             report = partial(self._words_so_far, result, seconds)
-            run = Finished(result, self._scene, self._inputs, report, self._iterates)
+            run = Finished(result, self._scene, self._inputs, report, self._line, self._iterates)
             self._outputs.write(run)
         finished = time.perf_counter()
         for text in self._words.warnings(result, refused):
@@ -147,33 +107,28 @@ class RefineRun:
             options.log(f"tso: checkpoint: {self._inputs.checkpoint}")
         options.log(f"tso: camera: {', '.join(dict.fromkeys(self._scene.camera_sources))}")
 
-    def _configured(self, chosen: dict[str, Any]) -> RefineConfig:
-        if chosen["sigma_sq"] is None and self._inputs.preset == "paper":
-            chosen = {**chosen, "sigma_sq": self._scene.sigma_sq}
-        return options.pick(RefineConfig, with_move(chosen))
-
     def _require_writable_cameras(self) -> None:
         """Refuse to write the cameras of a cloud with left-handed axes."""
-        path = self._outputs.write_camera
+        path = self._options.write_camera
         if path and left_handed(self._scene.given.assumptions):
             raise InputError(
                 f"--write-camera {path}: the cloud has left-handed axes, which no camera has; "
-                f"found --assume {' '.join(self._inputs.assume)}, expected a cloud with "
+                f"found --assume {' '.join(self._options.assume)}, expected a cloud with "
                 "right-handed axes"
             )
 
     def _refined(self) -> RefineResult:
         """The result, with a progress bar on a terminal."""
-        scene, source, given = self._scene, self._inputs.source, self._scene.given
-        points_mode = self._inputs.mode == "points"
+        scene, source, given = self._scene, self._options.source, self._scene.given
+        points_mode = self._options.mode == "points"
         if points_mode and self._settings.points is None:
             require_memory(source, BYTES_OF_A_CONTROL_POINT * len(scene.points))
         bar, iterates = options.ProgressBar("tso: refining"), self._iterates
-        bar_shown = sys.stderr.isatty() and not self._quiet
+        bar_shown = sys.stderr.isatty() and not self._options.quiet
 
         def on_progress(step: int, total: int, loss: float, points: Array) -> None:
             if bar_shown:
-                bar(step, total, f"steps, loss {loss:.6g}" if self._verbose else "steps")
+                bar(step, total, f"steps, loss {loss:.6g}" if self._options.verbose else "steps")
             if iterates is not None:
                 iterates.add(step, loss, points)
 
@@ -207,15 +162,15 @@ class RefineRun:
 
     def _print(self, report: RefineReport, refused: bool) -> None:
         result = report.result
-        if self._as_json:
+        if self._options.as_json:
             options.echo_json(report.document(self._warned, written=not refused))
         if refused:
             verdict = result.trust.verdict or "without confidence"
             raise GateError(
-                f"{self._inputs.source}: the result is {verdict}: {self._words.reason(result)}; "
+                f"{self._options.source}: the result is {verdict}: {self._words.reason(result)}; "
                 "with --strict nothing is written"
             )
-        if not self._as_json and not self._quiet:
+        if not self._options.as_json and not self._options.quiet:
             report.print_summary()
-            if self._verbose:
+            if self._options.verbose:
                 report.print_details()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -9,19 +10,19 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from ..evaluation.footprint import IOU_MEANS
-from ..geometry.camera import Camera
-from ..geometry.rotations import angle_between
-from ..geometry.view import View
-from ..io.shipped import LEARNED, NO_PRIOR
-from ..refinement.judge import CONTRADICTED_WEIGHT
-from ..refinement.result import RefineResult
-from ..scene.load import Scene
-from ..version import __version__
-from . import options
-from .refine_check import camera_document, verdict_document
-from .refine_files import RefineInputs
-from .refine_outputs import OUTPUTS, RefineOutputs
+from ...evaluation.footprint import IOU_MEANS
+from ...geometry.camera import Camera
+from ...geometry.rotations import angle_between
+from ...geometry.view import View
+from ...io.shipped import LEARNED, NO_PRIOR
+from ...refinement.judge import CONTRADICTED_WEIGHT
+from ...refinement.result import RefineResult
+from ...scene.load import Scene
+from ...version import __version__
+from .. import options
+from .check import camera_document, verdict_document
+from .inputs import RefineInputs
+from .outputs import OUTPUTS, RefineOutputs
 from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, shown, why_unmoved
 from .sentences_of_moves import (
     alternatives_of,
@@ -32,7 +33,7 @@ from .sentences_of_moves import (
 )
 
 if TYPE_CHECKING:
-    from ..plots.page import PageWords
+    from ...plots.page import PageWords
 
 CONVENTION = {
     "moved_mean": "displacement of a control point, as a share of the object's size, the longest "
@@ -92,7 +93,7 @@ class RefineReport:
     outputs: RefineOutputs
     words: Words
     seconds: dict[str, float]
-    given: dict[str, Any]
+    given: Mapping[str, Any]
 
     def document(self, warnings: list[str], written: bool = True) -> dict[str, Any]:
         """The JSON document; ``written`` : whether the outputs are."""
@@ -116,12 +117,13 @@ class RefineReport:
             "symmetry_reason": result.symmetry.reason,
             "device": settings.device,
             "checkpoint": self.inputs.checkpoint,
-            "assume": list(self.inputs.assume),
+            "assume": list(self.inputs.options.assume),
             "inputs": self.inputs.files,
-            "options": self.given,
+            "options": dict(self.given),
+            "output": self.outputs.output if written else None,
             **{
-                name: getattr(self.outputs, name) if written else None
-                for name in ("output", "overlay", "report", "rerun", "record")
+                name: self.outputs.others.get(name) if written else None
+                for name in ("overlay", "report", "rerun", "record")
             },
             "camera": views[0]["camera"],
             "views": views,
@@ -181,7 +183,8 @@ class RefineReport:
 
     def record(self, warnings: list[str], command: str) -> str:
         """The record of the run as JSON: the document, and its key, which no other run has."""
-        from .refine_record import SCHEMA, digest_of, key_of, options_of, relative
+        from ...io.reading import digest_of
+        from .record import SCHEMA, key_of, options_of, relative
 
         assert self.outputs.record
         folder = self.outputs.record.parent
@@ -198,12 +201,12 @@ class RefineReport:
 
     def page(self, warnings: list[str], command: str) -> PageWords:
         """The words of the page: the lines that are printed, the document, and the command."""
-        from ..plots.page import PageWords
+        from ...plots.page import PageWords
 
         lines = self.summary()
         del lines["used"]
         return PageWords(
-            title=self.inputs.source.name,
+            title=self.inputs.options.source.name,
             written=lines.pop(""),
             lines=lines,
             used=self._used(),
@@ -248,7 +251,7 @@ class RefineReport:
                 click.echo(f"{path}: {word}")
 
     def _written(self) -> int:
-        outliers = int(self.result.outliers.sum()) if self.outputs.crop else 0
+        outliers = int(self.result.outliers.sum()) if self.inputs.options.crop else 0
         return len(self.result.points) - outliers
 
     def _follow(self) -> str:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..diagnosis.assumptions import INVERTED, Assumption
-from ..diagnosis.examine import AXES_ADVICE, NoOverlapError
-from ..diagnosis.findings import ASSUMED_CAMERA, OF_DEPTH_MAPS, Finding
-from ..diagnosis.trust import FINDING
-from ..errors import InputError
-from ..refinement import RefineResult
-from ..refinement.result import Fit
+from ...diagnosis.assumptions import INVERTED, Assumption
+from ...diagnosis.examine import AXES_ADVICE, NoOverlapError
+from ...diagnosis.findings import ASSUMED_CAMERA, OF_DEPTH_MAPS, Finding
+from ...diagnosis.trust import FINDING
+from ...errors import InputError
+from ...refinement import RefineResult
+from ...refinement.result import Fit
 from .sentences_of_moves import reading_of, start_of
 
 # A largest displacement under this share of the object's size is worth a warning.

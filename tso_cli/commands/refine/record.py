@@ -8,33 +8,21 @@ import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from os.path import splitext
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..errors import InputError
-from ..io.output import reason
-from ..io.reading import plain, shown
-from ..version import __version__
-from . import options
-from .option_files import read_options, set_defaults
-from .refine_outputs import OUTPUTS
+from ...errors import InputError
+from ...io.reading import digest_of, plain, shown
+from ...version import __version__
+from .. import options
+from ..option_files import read_options, set_defaults
+from .options import RefineOptions, is_word, without_roles
 
 SCHEMA = 1
 """Version of the form of records."""
 EXPECTED = "a record of --record, or a .toml or .json file of options"
-# Options that say where results go, whether, or what is printed: they do not change a result.
-OF_RUN = ("record", "overwrite", "check", "quiet", "verbose", "as_json")
-OF_OUTPUT = ("output", "strict", *OUTPUTS, *OF_RUN)
-
-
-def record_of(result: str) -> str:
-    """The name of a result's record."""
-    return f"{splitext(result)[0]}.record.json"
-
-
 _RECORD = "tso.record"
 """Key of a context's ``meta``: the `_Record` that --config names."""
 
@@ -46,43 +34,20 @@ class _Record:
     inputs: dict[str, str]  # absolute path -> digest
 
 
-def digest_of(path: Path) -> str:
-    """SHA-256 of a file; of a folder that of the names, sizes and times of its files."""
-    digest = hashlib.sha256()
-    try:
-        if not path.is_dir():
-            with path.open("rb") as stream:
-                while block := stream.read(1 << 20):
-                    digest.update(block)
-            return digest.hexdigest()
-        for file in sorted(path.rglob("*")):
-            status = file.stat()
-            line = f"{file.relative_to(path)} {status.st_size} {status.st_mtime_ns}"
-            digest.update(line.encode(errors="surrogateescape"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)})") from None
-    return digest.hexdigest()
-
-
 def key_of(given: Mapping[str, Any], digests: Iterable[str]) -> str:
     """What no other run has: the version, the options given, and the files' contents."""
     settings = {
-        name: str(value) if _is_word(name, value) else value
-        for name, value in sorted(given.items())
-        if name not in OF_OUTPUT and (_is_word(name, value) or not _has_path(value))
-    }  # fmt: skip
+        name: str(value) if is_word(name, value) else value
+        for name, value in sorted(without_roles(given, "output", "run").items())
+        if is_word(name, value) or not _has_path(value)
+    }
     text = json.dumps([__version__, settings, list(digests)], default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _is_word(name: str, value: Any) -> bool:
-    """Whether an option has a word in place of a file."""
-    return str(value) in options.WORDS.get(name, ())
-
-
 def _has_path(value: Any) -> bool:
     return isinstance(value, Path) or (
-        isinstance(value, (tuple, list)) and any(isinstance(one, Path) for one in value)
+        isinstance(value, (tuple, list)) and any(isinstance(item, Path) for item in value)
     )
 
 
@@ -91,13 +56,12 @@ def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
     def stored(value: Any) -> Any:
         if isinstance(value, (tuple, list)):
-            return [stored(one) for one in value]
+            return [stored(item) for item in value]
         return relative(value, folder) if isinstance(value, Path) else value
 
     return {
-        name: str(value) if _is_word(name, value) else stored(value)
-        for name, value in given.items()
-        if name not in OF_RUN
+        name: str(value) if is_word(name, value) else stored(value)
+        for name, value in without_roles(given, "run").items()
     }
 
 
@@ -117,7 +81,7 @@ def read_config(ctx: click.Context, path: Path) -> None:
     if "schema" in document:
         ctx.meta[_RECORD] = _record(path, document)
         document = document["options"]
-    set_defaults(ctx, path, document)
+    set_defaults(ctx, RefineOptions, path, document)
 
 
 def _record(path: Path, document: dict[str, Any]) -> _Record:
@@ -141,7 +105,7 @@ def _record(path: Path, document: dict[str, Any]) -> _Record:
     return _Record(path, document["version"], placed)
 
 
-def warn_of_changes(ctx: click.Context) -> None:
+def warn_of_changes(ctx: click.Context, chosen: RefineOptions) -> None:
     """Warn of what differs from the run whose record --config names.
 
     Files that the command line names were not of that run.
@@ -155,17 +119,19 @@ def warn_of_changes(ctx: click.Context) -> None:
             "may differ",
             stacklevel=2,
         )
-    for place, what in _changes(ctx, record):
+    for place, what in _changes(ctx, chosen, record):
         path = os.path.relpath(place)
         warnings.warn(f"{path}: {what} {record.path}, so the result may differ", stacklevel=2)
 
 
-def _changes(ctx: click.Context, record: _Record) -> Iterator[tuple[str, str]]:
+def _changes(
+    ctx: click.Context, chosen: RefineOptions, record: _Record
+) -> Iterator[tuple[str, str]]:
     """Each file that differs from the record, by its absolute path, and in what."""
-    from .refine_files import RefineInputs
+    from .inputs import RefineInputs
 
-    inputs = options.pick(RefineInputs, ctx.params)
-    typed = list(_typed(ctx, inputs))
+    inputs = RefineInputs(chosen)
+    typed = list(_typed(ctx))
     read = {os.path.abspath(path): path for path in inputs.files if path not in typed}
     digests = {place: digest_of(path) for place, path in read.items() if path.exists()}
     for place, digest in digests.items():
@@ -179,9 +145,9 @@ def _changes(ctx: click.Context, record: _Record) -> Iterator[tuple[str, str]]:
             yield place, "is not read now, but is an input of"
 
 
-def _typed(ctx: click.Context, inputs: Any) -> Iterator[Path]:
+def _typed(ctx: click.Context) -> Iterator[Path]:
     """The input files that are given on the command line."""
-    for name, value in vars(inputs).items():
+    for name, value in without_roles(ctx.params, "output", "run").items():
         if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             values = value if isinstance(value, tuple) else (value,)
-            yield from (one for one in values if isinstance(one, Path))
+            yield from (path for path in values if isinstance(path, Path))

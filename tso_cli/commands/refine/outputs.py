@@ -7,59 +7,68 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
+from os.path import splitext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from ..errors import InputError
-from ..geometry.arrays import Pixels
-from ..io.cameras import CameraRecord, camera_text
-from ..io.clouds import NEW, check_suffix, write_cloud
-from ..io.output import atomic_output, check_output
-from ..refinement import RefineResult
-from ..scene.load import Scene
-from .options import command_line, require_output
-from .refine_files import RefineInputs
+from ...errors import InputError
+from ...geometry.arrays import Pixels
+from ...io.cameras import CameraRecord, camera_text
+from ...io.clouds import NEW, check_suffix, output_suffix, write_cloud
+from ...io.output import atomic_output, check_output
+from ...refinement import RefineResult
+from ...scene.load import Scene
+from ..options import require_output
+from .inputs import RefineInputs
+from .options import RefineOptions
 
 if TYPE_CHECKING:
-    from ..plots.recording import Iterates
-    from .refine_report import RefineReport
+    from ...plots.recording import Iterates
+    from .report import RefineReport
+
+
+def record_of(result: str) -> str:
+    """The name of a result's record."""
+    return f"{splitext(result)[0]}.record.json"
 
 
 @dataclass(frozen=True)
 class Finished:
     """A run whose files are written.
 
-    report : makes what page and record say, and the warnings. iterates : for --rerun.
+    report : makes what page and record say, and the warnings. command : the line for a shell.
+    iterates : for --rerun.
     """
 
     result: RefineResult
     scene: Scene
     inputs: RefineInputs
     report: Callable[[], tuple[RefineReport, list[str]]]
+    command: str
     iterates: Iterates | None
 
     @cached_property
     def photos(self) -> list[Pixels | None]:
-        from ..scene.photos import photos_of
+        from ...scene.photos import photos_of
 
-        return photos_of(self.scene, self.inputs.view_files, self.inputs.fit)
+        return photos_of(self.scene, self.inputs.view_files, self.inputs.options.fit)
 
 
 def _write_overlay(path: Path, run: Finished) -> None:
-    from ..plots.overlay import draw_overlay
+    from ...plots.overlay import draw_overlay
 
     draw_overlay(path, run.result, run.scene.views, run.photos)
 
 
 def _write_page(path: Path, run: Finished) -> None:
-    from ..plots.page import write_page
+    from ...plots.page import write_page
 
     report, warned = run.report()
-    write_page(path, run.result, run.scene, run.photos, report.page(warned, command_line()))
+    write_page(path, run.result, run.scene, run.photos, report.page(warned, run.command))
 
 
 def _write_recording(path: Path, run: Finished) -> None:
-    from ..plots.recording import write_recording
+    from ...plots.recording import write_recording
 
     if run.iterates is not None:
         lines = run.report()[0].summary()
@@ -68,7 +77,7 @@ def _write_recording(path: Path, run: Finished) -> None:
 
 def _write_record(path: Path, run: Finished) -> None:
     report, warned = run.report()
-    path.write_text(report.record(warned, command_line()), encoding="utf-8")
+    path.write_text(report.record(warned, run.command), encoding="utf-8")
 
 
 def _write_cameras(path: Path, run: Finished) -> None:
@@ -106,40 +115,37 @@ NAMED = tuple(name for name in OUTPUTS if name != "record")
 """Those whose names the options say; that of the record follows from that of the result."""
 
 
-@dataclass(frozen=True)
 class RefineOutputs:
-    """What is written."""
+    """What is written: the result, and the files next to it.
 
-    output: Path
-    own_suffix: str  # of the input, if it is written again with other points
-    overlay: Path | None
-    report: Path | None
-    rerun: Path | None
-    record: Path | None
-    write_camera: Path | None
-    write_transform: Path | None
-    point_confidence: bool
-    crop: bool
-    overwrite: bool
+    own_suffix : of the input, if it is written again with other points. record : its name, or None.
+    """
+
+    def __init__(self, options: RefineOptions) -> None:
+        self.options = options
+        self.own_suffix = output_suffix(options.source) if options.mode == "points" else ".ply"
+        self.output = options.output or Path(f"{options.source.stem}.refined{self.own_suffix}")
+        self.record = Path(record_of(str(self.output))) if options.record else None
 
     @property
     def others(self) -> dict[str, Path]:
         """The files next to the result that were asked for, by their options."""
-        return {name: file for name in OUTPUTS if (file := getattr(self, name)) is not None}
+        files = {name: getattr(self.options, name) for name in NAMED} | {"record": self.record}
+        return {name: files[name] for name in OUTPUTS if files[name] is not None}
 
     def check(self, inputs: list[Path]) -> None:
         """InputError for an output that cannot be written or would replace another file."""
         check_suffix(self.output, self.own_suffix)
-        if self.point_confidence and self.output.suffix.lower() != ".ply":
+        if self.options.point_confidence and self.output.suffix.lower() != ".ply":
             raise self._of_suffix(".ply to hold --point-confidence")
-        if self.crop and self.output.suffix.lower() not in NEW:
+        if self.options.crop and self.output.suffix.lower() not in NEW:
             raise self._of_suffix(f"{' or '.join(NEW)} for --crop")
-        check_output(self.output, self.overwrite)
+        check_output(self.output, self.options.overwrite)
         # A result that replaces its own input is checked by --overwrite.
         taken = {self.output.resolve(): "another file of this command"}
         taken |= {path.resolve(): "an input" for path in inputs}
         for name, file in self.others.items():
-            require_output(file, OUTPUTS[name].suffix, self.overwrite)
+            require_output(file, OUTPUTS[name].suffix, self.options.overwrite)
             if whose := taken.get(file.resolve()):
                 option = "-o" if name == "record" else f"--{name.replace('_', '-')}"
                 raise InputError(f"{file}: is {whose}, expected another name for {option}")
@@ -153,27 +159,27 @@ class RefineOutputs:
 
     def recorder(self) -> Iterates | None:
         """What keeps the steps for --rerun; fails at once where rerun is not installed."""
-        if self.rerun is None:
+        if self.options.rerun is None:
             return None
         import rerun  # noqa: F401
 
-        from ..plots.recording import Iterates
+        from ...plots.recording import Iterates
 
         return Iterates()
 
     def write(self, run: Finished) -> None:
         """Write all files, or none: the others take their names once the cloud is written."""
-        result = run.result
+        result, overwrite = run.result, self.options.overwrite
         with ExitStack() as stack:
             for name, file in self.others.items():
-                OUTPUTS[name].write(stack.enter_context(atomic_output(file, self.overwrite)), run)
+                OUTPUTS[name].write(stack.enter_context(atomic_output(file, overwrite)), run)
             self.check([])  # before the first of them takes its name
             write_cloud(
                 self.output,
                 run.scene.to_output(result.points),
                 like=run.scene.file,
-                overwrite=self.overwrite,
+                overwrite=overwrite,
                 matrix=result.move.matrix,
                 confidence=result.point_confidence,
-                kept=~result.outliers if self.crop and result.outliers.any() else None,
+                kept=~result.outliers if self.options.crop and result.outliers.any() else None,
             )

@@ -1,4 +1,4 @@
-"""`tso train --prior FOLDER`: train the prior that moves a start to a likely shape."""
+"""`tso train-prior`: train the prior that moves a start to a likely shape."""
 
 from __future__ import annotations
 
@@ -13,108 +13,84 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import InputError
-from . import options
-from .train_outputs import TrainOutputs
+from ...errors import InputError
+from .. import options
+from .options import TrainPriorOptions
+from .recipes import RECIPE, recipe_option
 
 if TYPE_CHECKING:
-    from ..train.prior.shapes import ShapeSet
-    from ..train.prior.state import PriorState
+    from ...train.prior.shapes import ShapeSet
+    from ...train.prior.state import PriorState
 
-PRIOR_DEFAULTS: dict[str, Any] = {
-    "steps": 3000,
-    "batch_size": 64,
-    "output": Path("prior.safetensors"),
-}
-# Options of the prior alone, and options that both trainings have; all others are the network's.
-OF_PRIOR = (
-    "prior",
-    "by_rule",
-    "marred",
-    "depth_maps",
-    "scenes",
-    "without",
-    "predicted_by",
-    "predictions",
-)
-OF_BOTH = (
-    "split_file", "precision", "workers", "strict", "initial", "steps", "batch_size", "output",
-    "overwrite", "checkpoint_every", "resume", "log_file", "as_json", "device", "seed",
-)  # fmt: skip
 LOSS_STEPS = 100  # the loss that is reported is the mean over this many steps
 LISTED = 10  # meshes that were left out and are named on stderr
 
 
-def check_prior(ctx: click.Context) -> None:
-    """InputError if an option of one training is given with the other."""
-    for_prior = ctx.params["prior"] is not None or ctx.params["by_rule"] > 0
-    for parameter in ctx.command.params:
-        name = parameter.name or ""
-        used = ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-        if not used or not parameter.expose_value or name in OF_BOTH:
-            continue
-        shown = "DATA" if isinstance(parameter, click.Argument) else parameter.opts[0]
-        if not for_prior and name in OF_PRIOR:
-            raise InputError(
-                f"{shown} is for the training of a prior, expected --prior FOLDER or --by-rule"
-            )
-        if for_prior and name not in OF_PRIOR:
-            raise InputError(
-                f"{shown} is for the training of the network, expected it without --prior"
-            )
-        if name == "predictions" and ctx.params["predicted_by"] is None:
-            raise InputError(f"{shown} counts what a network predicts, expected --predicted-by too")
+@options.command("train-prior", TrainPriorOptions, recipe_option("prior", TrainPriorOptions))
+def command(ctx: click.Context, chosen: TrainPriorOptions) -> None:
+    """Train the prior that moves a cloud to a likely shape before `tso refine` optimises it.
 
+    \b
+    tso train-prior MESHES -o my.safetensors
+    tso train-prior --by-rule 24 -o my.safetensors
+    tso train-prior MESHES --config prior -o prior.safetensors
 
-def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> None:
-    """Train, write and print; exits with 130 after Ctrl-C."""
-    from .. import device as devices
-    from ..datasets.splits import read_part
-    from ..io.reading import name_of
-    from ..prior.file import EXPECTED, read_prior
-    from ..prior.network import initial as random_weights
-    from ..train.prior.bank import build_bank
-    from ..train.prior.config import PriorConfig
-    from ..train.prior.loop import train
-    from ..train.prior.predictions import Predictor, draw_predictions
-    from ..train.prior.scenes import Chances
-    from ..train.prior.shapes import ShapeSet, read_shapes, ruled_shapes
-    from ..train.prior.state import (
+    MESHES is a folder of meshes, CATEGORY/NAME; with --by-rule shapes are made by rule too, or
+    alone. The state of the training is stored next to the prior, as NAME.training.safetensors, for
+    --resume. Ctrl-C finishes the current step and writes both files.
+    """
+    from ... import device as devices
+    from ...datasets.splits import read_part
+    from ...io.reading import name_of
+    from ...io.shipped import DEFAULT
+    from ...prior.file import EXPECTED, read_prior, shipped_prior
+    from ...prior.network import initial as random_weights
+    from ...train.prior.bank import build_bank
+    from ...train.prior.config import PriorConfig
+    from ...train.prior.loop import train
+    from ...train.prior.predictions import Predictor, draw_predictions
+    from ...train.prior.scenes import Chances
+    from ...train.prior.shapes import ShapeSet, read_shapes, ruled_shapes
+    from ...train.prior.state import (
         check_resumable,
         load_training,
         new_state,
         save_training,
         write_history,
     )
+    from .outputs import TrainOutputs
 
     started = time.perf_counter()
     if int(os.environ.get("WORLD_SIZE", "1")) > 1:
         raise InputError(
-            f"--prior with {os.environ['WORLD_SIZE']} processes, expected one: start it without "
-            "torchrun"
+            f"tso train-prior with {os.environ['WORLD_SIZE']} processes, expected one: start it "
+            "without torchrun"
         )
-    for name, value in PRIOR_DEFAULTS.items():
-        chosen[name] = value if chosen[name] is None else chosen[name]
-    outputs = options.pick(TrainOutputs, chosen)
+    outputs = options.pick(TrainOutputs, vars(chosen))
     outputs.check()
-    predictor = None
-    if chosen["predicted_by"] is not None:
-        predictor = Predictor.read(chosen["predicted_by"])
-        chosen["predicted_by"] = predictor.name
-    initial = _initial_prior(outputs.resume, chosen["initial"])
-    chosen["initial"] = initial and name_of(initial, EXPECTED)
-    config = options.pick(PriorConfig, chosen)
+    predictor = Predictor.read(chosen.predictor) if chosen.predictor else None
+    initial = shipped_prior() if str(chosen.start) == DEFAULT else chosen.start
+    recipe = ctx.meta.get(RECIPE)
+    config = options.pick(
+        PriorConfig,
+        vars(chosen)
+        | {
+            "predicted_by": predictor and predictor.name,
+            "initial": initial and name_of(initial, EXPECTED),
+            "recipe": recipe and recipe.name,
+        },
+    )
     device = devices.resolve(config.device)
     weights = read_prior(initial)[0] if initial else random_weights(config.seed)
     if outputs.resume:
         about_state = check_resumable(outputs.output, config)
         config = replace(config, initial=about_state["settings"].get("initial"))
-    folder, without = chosen["prior"], chosen["without"]
+    folder, without = chosen.meshes, chosen.without
     shapes = ShapeSet([])
     if folder is not None:
-        names = read_part(chosen["split_file"], "train") if chosen["split_file"] else None
+        names = read_part(chosen.split_file, "train") if chosen.split_file else None
         bar = options.ProgressBar("read meshes")
-        shapes = read_shapes(folder, without, chosen["strict"], bar, names)
+        shapes = read_shapes(folder, without, chosen.strict, bar, names)
     about = _description(folder, shapes, config.by_rule)
     if config.by_rule:
         bar = options.ProgressBar("make shapes")
@@ -147,7 +123,7 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
                 progress=options.ProgressBar("predict starts"),
             )
         drawing = options.ProgressBar("draw scenes")
-        chances = options.pick(Chances, chosen)
+        chances = options.pick(Chances, vars(chosen))
         bank = build_bank(
             shapes,
             config.scenes,
@@ -155,7 +131,7 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
             device,
             drawing,
             predict,
-            chosen["workers"],
+            chosen.workers,
             chances,
         )
         prepared = time.perf_counter()
@@ -166,8 +142,8 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
                 state,
                 progress=options.ProgressBar("train"),
                 save=save,
-                save_every=chosen["checkpoint_every"],
-                workers=chosen["workers"],
+                save_every=chosen.checkpoint_every,
+                workers=chosen.workers,
             )
     seconds = {"prepare": prepared - started, "train": time.perf_counter() - prepared}
     document = _document(state, shapes, about) | {
@@ -177,7 +153,7 @@ def train_prior(ctx: click.Context, as_json: bool, chosen: dict[str, Any]) -> No
         "settings": config.settings() | {"device": config.device},
         "seconds": seconds,
     }
-    if as_json:
+    if chosen.as_json:
         options.echo_json(document)
     else:
         _print_summary(document)
@@ -209,22 +185,9 @@ def _description(folder: Path | None, shapes: ShapeSet, by_rule: int) -> str:
     return "; ".join(parts)
 
 
-def _initial_prior(resume: bool, initial: Path | None) -> Path | None:
-    """The file that the training starts from; None for random weights, or those of a state."""
-    from ..io.shipped import DEFAULT
-    from ..prior.file import shipped_prior
-
-    if initial is not None and resume:
-        raise InputError(
-            "--init with --resume: the state to resume has weights of its own, "
-            "expected one of the two"
-        )
-    return shipped_prior() if str(initial) == DEFAULT else initial
-
-
 def _document(state: PriorState, shapes: ShapeSet, about: str) -> dict[str, Any]:
     """What the JSON document says about state and shapes."""
-    from ..version import __version__
+    from ...version import __version__
 
     rows = state.history[-LOSS_STEPS:]
     means = [sum(column) / len(rows) for column in zip(*rows, strict=True)] or [math.nan]

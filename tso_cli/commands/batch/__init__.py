@@ -1,0 +1,1 @@
+"""`tso batch`: options, items, the run, and its page."""

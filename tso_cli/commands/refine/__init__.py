@@ -1,0 +1,1 @@
+"""`tso refine`: options, files, the run, and its words."""

@@ -1,0 +1,1 @@
+"""`tso train` and `tso train-prior`: options, data, files and recipes."""
