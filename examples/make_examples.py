@@ -24,11 +24,11 @@ from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import write_cloud
 from tso_cli.io.images import write_image
 from tso_cli.io.meshes import Mesh, read_mesh, write_mesh
+from tso_cli.render.folder import ground_truth
+from tso_cli.render.normalise import normalise
 from tso_cli.render.rays import RayScene, render_view
 from tso_cli.render.settings import RenderSettings
 from tso_cli.render.viewpoints import fitting_distance, look_at
-from tso_cli.render.folder import ground_truth
-from tso_cli.render.normalise import normalise
 
 SIZE = (256, 256)
 # A photo in which the chair is small: its size, focal length and principal point, px.

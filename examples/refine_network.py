@@ -19,7 +19,7 @@ checkpoint = named_checkpoint(Path(sys.argv[1] if len(sys.argv) > 1 else "defaul
 scene = load_network_scene(chair / "image.png", chair / "mask.png", checkpoint, world=True)
 
 for mode in ("encoder", "encoder-decoder"):
-    config = RefineConfig(mode)
+    config = RefineConfig(mode=mode)
     result = refine(None, scene.view, config=config, network=scene.network, image=scene.image)
     # A network knows neither size nor place, so both clouds are compared at longest side 1.
     clouds = (
