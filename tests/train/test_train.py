@@ -127,8 +127,8 @@ def test_averaging_saves_other_weights_than_the_last_and_keeps_constant_ones(thi
     state = start(data, config())
     for _ in range(5):
         state.history.append((0.0, 0.0, 0.0, 0.0))
-        state.update_average(0.9)
-    for average, parameter in zip(state.average, state.network.parameters(), strict=True):
+        state.update_average(dict(state.network.named_parameters()), 0.9)
+    for average, parameter in zip(state.average.values(), state.network.parameters(), strict=True):
         torch.testing.assert_close(average, parameter.detach())
 
 
@@ -274,7 +274,7 @@ def test_a_resume_with_other_settings_or_other_data_or_without_a_state_is_refuse
         "other data", resume, path, TrainingData(make_objects(2), "three boxes"), config(**same)
     )
     path.replace(state_path(path))
-    assert_refused("step in the training state is None", resume, path, data, config(**same))
+    assert_refused("step in the state is None", resume, path, data, config(**same))
 
 
 def test_a_damaged_training_state_is_refused(thin, data, tmp_path):

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import copy
-import signal
-import threading
-from collections import deque
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from .. import device as devices
-from ..errors import InputError, TsoError
+from ..errors import InputError
 from ..network.model import BaseNetwork, NetworkConfig, build_network
 from ..silhouette.chamfer import chamfer
 from ..version import __version__
@@ -28,10 +23,9 @@ from .losses import AffinitySchedule
 from .processes import Processes
 from .state import TrainingState, new_state
 from .step import Objective, batch_loss, draw_step, predict
+from .trainer import Progress, prefetched, require_finite, run
 
-Progress = Callable[[int, int, str], None]
 Save = Callable[[TrainingState, NetworkConfig], None]
-Drawn = TypeVar("Drawn")
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,58 +131,57 @@ def train(
             f"steps is {config.steps}, expected more: {state.step} steps are done already"
         )
     device = next(state.network.parameters()).device
-    saved_at = -1
     if not processes.first:
         save = progress = None
 
     def draw(step: int) -> list[Batch]:
         return draw_step(data, masked, config, processes, step, targets=objective is not None)
 
-    upcoming = prefetched(draw, state.step, config.steps, config.workers)
-    with _deferred_interrupt() as interrupted, closing(upcoming):
-        while state.step < config.steps and not processes.any(interrupted.is_set(), device):
-            batches = next(upcoming)
-            weight = state.schedule.weight if config.supervision != "points" else 0.0
-            clouds = predict(state.network, batches, config.precision)
-            if objective:
-                loss, first, second = objective(clouds[0], batches[0], weight)
-            else:
-                loss, first, second = batch_loss(clouds, batches, config, weight)
-            state.optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-            row = torch.tensor(
-                [float(loss.detach()), first, second], dtype=torch.float64, device=device
-            )
-            processes.average([row])
-            value, first, second = row.tolist()
-            if not np.isfinite(value):
-                saved = "nothing was written"
-                if saved_at >= 0:
-                    saved = f"the last checkpoint is from step {saved_at}"
-                raise TsoError(
-                    f"the loss became {value} in step {state.step + 1} "
-                    f"(learning rate {config.learning_rate:g}); {saved}"
-                )
-            processes.average(p.grad for p in state.network.parameters() if p.grad is not None)
-            for group in state.optimiser.param_groups:
-                group["lr"] = config.rate(state.step)
-            state.optimiser.step()
-            state.history.append((value, first, second, weight))
-            state.update_average(config.averaging)
-            if config.supervision != "points":
-                state.schedule.observe(value, state.step)
-            if progress:
-                progress(state.step, config.steps, f"loss {value:.4g}")
-            if save and save_every and state.step % save_every == 0 and state.step < config.steps:
-                save(state, network_config(data, config, state.step))
-                saved_at = state.step
-        finished = network_config(data, config, state.step)
+    def take(batches: list[Batch]) -> str:
+        weight = state.schedule.weight if config.supervision != "points" else 0.0
+        clouds = predict(state.network, batches, config.precision)
+        if objective:
+            loss, first, second = objective(clouds[0], batches[0], weight)
+        else:
+            loss, first, second = batch_loss(clouds, batches, config, weight)
+        state.optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        row = torch.tensor(
+            [float(loss.detach()), first, second], dtype=torch.float64, device=device
+        )
+        processes.average([row])
+        value, first, second = row.tolist()
+        rate = f"learning rate {config.learning_rate:g}"
+        require_finite(value, state.step, rate, save_every if save else 0)
+        processes.average(p.grad for p in state.network.parameters() if p.grad is not None)
+        for group in state.optimiser.param_groups:
+            group["lr"] = config.rate(state.step)
+        state.optimiser.step()
+        state.history.append((value, first, second, weight))
+        weights = dict(state.network.named_parameters())
+        state.update_average(weights, config.averaging)
+        if config.supervision != "points":
+            state.schedule.observe(value, state.step)
+        return f"loss {value:.4g}"
+
+    def save_now() -> None:
         if save:
-            save(state, finished)
-        processes.wait()
+            save(state, network_config(data, config, state.step))
+
+    stop_reason = run(
+        state,
+        config.steps,
+        prefetched(draw, state.step, config.steps, config.workers),
+        take,
+        progress=progress,
+        save=save_now,
+        save_every=save_every,
+        stopping=lambda pressed: processes.any(pressed, device),
+    )
+    processes.wait()
     network = copy.deepcopy(state.averaged()).cpu().eval()
     network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
-    stop_reason = "max_steps" if state.step >= config.steps else "interrupted"
+    finished = network_config(data, config, state.step)
     history = np.array(state.history, dtype=np.float64).reshape(-1, 4)
     return TrainResult(
         network, finished, state.step, stop_reason, history, state.schedule.dropped_at
@@ -222,23 +215,6 @@ def _require_data(
         )
 
 
-def prefetched(
-    draw: Callable[[int], Drawn], first: int, steps: int, workers: int
-) -> Generator[Drawn, None, None]:
-    """The batches of steps ``first`` to ``steps`` - 1; threads draw ``workers`` batches ahead."""
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="tso-batch")
-    waiting: deque[Future[Drawn]] = deque()
-    try:
-        for step in range(first, steps):
-            waiting.append(pool.submit(draw, step))
-            if len(waiting) > workers:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
 def evaluate(
     network: BaseNetwork, data: TrainingData, frame: str, views: int = 4, most: int = 256
 ) -> tuple[float, float, int]:
@@ -260,26 +236,3 @@ def evaluate(
             distances.append((float(forward.mean()), float(backward.mean())))
     forward_mean, backward_mean = np.mean(distances, axis=0) if distances else (np.nan, np.nan)
     return float(forward_mean), float(backward_mean), len(distances)
-
-
-@contextmanager
-def _deferred_interrupt() -> Iterator[threading.Event]:
-    """Ctrl-C sets the event, so that the current step or file is finished.
-
-    A second Ctrl-C interrupts at once.
-    """
-    pressed = threading.Event()
-
-    def note(*_: object) -> None:
-        if pressed.is_set():
-            raise KeyboardInterrupt
-        pressed.set()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield pressed
-        return
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield pressed
-    finally:
-        signal.signal(signal.SIGINT, before)

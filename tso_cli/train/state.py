@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from ..errors import InputError
 from ..io.checkpoints import (
@@ -21,51 +19,24 @@ from ..io.checkpoints import (
     save_network,
     save_tensors,
 )
-from ..io.output import write_file
 from ..io.reading import shown
 from ..network.model import BaseNetwork, NetworkConfig
 from .losses import AffinitySchedule
+from .trainer import Course, resumable, state_path, write_log
 
 MOMENTS = ("exp_avg", "exp_avg_sq")
-# For each step: loss, its two terms (forward and backward, or BCE and affinity), lambda.
-History = list[tuple[float, float, float, float]]
 
 
-@dataclass(eq=False)
-class TrainingState:
+@dataclass(eq=False, kw_only=True)
+class TrainingState(Course):
     """Everything that the next step depends on, except the data.
 
-    fingerprint : digest of the data of the training.
-    average : running mean of each parameter, in the order of the network; empty without averaging.
+    history : for each step loss, its two terms (forward and backward, or BCE and affinity), lambda.
     """
 
     network: BaseNetwork
     optimiser: torch.optim.Adam
     schedule: AffinitySchedule
-    history: History
-    fingerprint: str
-    average: list[Tensor] = field(default_factory=list)
-
-    @property
-    def step(self) -> int:
-        """Steps done."""
-        return len(self.history)
-
-    def update_average(self, decay: float) -> None:
-        """Update the running mean of the weights after a step; with a decay of 0 there is none.
-
-        The new mean is decay * mean + (1 - decay) * weights.
-        """
-        if decay == 0.0:
-            return
-        with torch.no_grad():
-            weights = [parameter.detach() for parameter in self.network.parameters()]
-            if not self.average:
-                self.average = [weight.clone() for weight in weights]
-            # The decay is smaller in the first steps (a half after nine), so that the random
-            # initial weights are forgotten.
-            decay = min(decay, self.step / (self.step + 9.0))
-            torch._foreach_lerp_(self.average, weights, 1.0 - decay)
 
     def averaged(self) -> BaseNetwork:
         """The network to be saved: a copy with the mean weights, or the network without a mean."""
@@ -73,14 +44,9 @@ class TrainingState:
             return self.network
         network = copy.deepcopy(self.network)
         with torch.no_grad():
-            for parameter, mean in zip(network.parameters(), self.average, strict=True):
-                parameter.copy_(mean)
+            for name, parameter in network.named_parameters():
+                parameter.copy_(self.average[name])
         return network
-
-
-def state_path(checkpoint: Path) -> Path:
-    """File of the state of ``checkpoint``: base.safetensors -> base.training.safetensors."""
-    return checkpoint.with_name(f"{checkpoint.stem}.training.safetensors")
 
 
 def save_training(
@@ -95,8 +61,7 @@ def save_training(
         for moment in MOMENTS:
             value = state.optimiser.state[parameter].get(moment, torch.zeros_like(parameter))
             tensors[f"{STATE_PREFIX}{moment}.{name}"] = value
-    for (name, _), mean in zip(state.network.named_parameters(), state.average, strict=False):
-        tensors[f"{STATE_PREFIX}average.{name}"] = mean
+    tensors |= {f"{STATE_PREFIX}average.{name}": mean for name, mean in state.average.items()}
     history = torch.tensor(state.history, dtype=torch.float64)
     tensors[f"{STATE_PREFIX}history"] = history.reshape(-1, 4)
     values = {
@@ -116,19 +81,9 @@ def load_training(
     Raises InputError if there is no state, if it is damaged, or if it comes from a training with
     other settings or other data.
     """
-    path = state_path(checkpoint)
-    if not path.exists():
-        raise InputError(
-            f"{path}: does not exist, expected the state of an unfinished training to resume"
-        )
+    path, values, step = resumable(checkpoint, lambda file: read_metadata(file)[1])
     network, stored = load_network(path)
     _require_same(path, stored, config)
-    _, values = read_metadata(path)
-    step = values.get("step")
-    if not isinstance(step, int) or isinstance(step, bool) or step < 0:
-        raise InputError(
-            f"{path}: step in the training state is {shown(step)}, expected a whole number"
-        )
     if values.get("fingerprint") != fingerprint:
         raise InputError(
             f"{path}: was trained on other data ({stored.training_set}), "
@@ -151,7 +106,7 @@ def load_training(
                 for kind in kinds
             }
             if "average" in kinds:
-                state.average.append(values.pop("average"))
+                state.average[name] = values.pop("average")
             state.optimiser.state[parameter] = {"step": torch.tensor(float(step)), **values}
     return state
 
@@ -177,7 +132,9 @@ def new_state(
     # The memory layout "channels last" makes convolutions a third faster on the CPU.
     network = network.to(device).to(memory_format=torch.channels_last).train()  # type: ignore[call-overload]
     optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate, fused=True)
-    return TrainingState(network, optimiser, schedule, [], fingerprint)
+    return TrainingState(
+        network=network, optimiser=optimiser, schedule=schedule, fingerprint=fingerprint
+    )
 
 
 def _require_same(path: Path, stored: NetworkConfig, current: NetworkConfig) -> None:
@@ -201,7 +158,7 @@ def _require_same(path: Path, stored: NetworkConfig, current: NetworkConfig) -> 
 
 
 def write_history(
-    path: Path, history: History, config: NetworkConfig, overwrite: bool = True
+    path: Path, history: list[tuple[float, ...]], config: NetworkConfig, overwrite: bool = True
 ) -> None:
     """Write the settings, then the losses of every step, one JSON object on each line."""
     terms = {
@@ -209,8 +166,5 @@ def write_history(
         "masks": ("bce", "affinity", "lambda"),
         "joint": ("chamfer", "bce", "lambda"),
     }
-    names = ("step", "loss", *terms[config.supervision])
-    lines = [json.dumps(dataclasses.asdict(config), allow_nan=False)]
-    for step, row in enumerate(history, 1):
-        lines.append(json.dumps(dict(zip(names, (step, *row), strict=False))))
-    write_file(path, ("\n".join(lines) + "\n").encode(), overwrite)
+    names = ("loss", *terms[config.supervision])
+    write_log(path, dataclasses.asdict(config), names, history, overwrite)

@@ -16,7 +16,7 @@ from tso_cli.train.prior.config import PriorConfig
 from tso_cli.train.prior.loop import train
 from tso_cli.train.prior.loss import PARTS
 from tso_cli.train.prior.state import load_training, new_state, save_training, write_history
-from tso_cli.train.state import state_path
+from tso_cli.train.trainer import state_path
 
 CPU = torch.device("cpu")
 CONFIG = PriorConfig(steps=4, batch_size=2, scenes=60)

@@ -22,7 +22,7 @@ class TrainOutputs:
 
     def check(self) -> None:
         """InputError for an output that cannot be written."""
-        from ...train.state import state_path
+        from ...train.trainer import state_path
 
         replace_files, state = self.overwrite or self.resume, state_path(self.output)
         options.require_output(self.output, ".safetensors", replace_files)

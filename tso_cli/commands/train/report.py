@@ -11,7 +11,7 @@ from ...train.config import TrainConfig
 from ...train.data import TrainingData
 from ...train.loop import TrainResult, evaluate
 from ...train.sources import shipped_examples
-from ...train.state import state_path
+from ...train.trainer import state_path
 from ...version import __version__
 
 FROM_CONFIG = (

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ...errors import TsoError
-from ...signals import at_interrupt
-from ..loop import prefetched
+from ..trainer import prefetched, require_finite, run
 from .bank import Bank
-from .config import PriorConfig
+from .config import AVERAGING, PriorConfig
 from .loss import loss
 from .shapes import Progress
 from .starts import Batch, draw
@@ -53,21 +50,24 @@ def train(
     Returns "max_steps" or "interrupted" (Ctrl-C). Raises TsoError if the loss is not finite.
     """
     objective = objective or partial(loss, precision=config.precision)
-    pressed = threading.Event()
-    upcoming = prefetched(lambda step: _draw(bank, config, step), state.step, config.steps, 1)
     pool = ThreadPoolExecutor(min(workers, SHARES), thread_name_prefix="tso-share")
-    with at_interrupt(pressed.set, once=True), closing(upcoming), pool, _one_thread():
-        while state.step < config.steps and not pressed.is_set():
-            shares = pool.map(partial(_gradients, state.weights, objective), next(upcoming))
-            _step(state, config, list(shares))
-            if progress:
-                mean = np.mean(state.history[-SHOWN_STEPS:], 0)
-                progress(state.step, config.steps, f"loss {mean.sum():.3f}, moves {mean[0]:.3f}")
-            if save and save_every and state.step % save_every == 0 and state.step < config.steps:
-                save(state)
-        if save:
-            save(state)
-    return "max_steps" if state.step >= config.steps else "interrupted"
+
+    def take(shares: list[Share]) -> str:
+        gradients = pool.map(partial(_gradients, state.weights, objective), shares)
+        _step(state, config, list(gradients), save_every if save else 0)
+        mean = np.mean(state.history[-SHOWN_STEPS:], 0)
+        return f"loss {mean.sum():.3f}, moves {mean[0]:.3f}"
+
+    with pool, _one_thread():
+        return run(
+            state,
+            config.steps,
+            prefetched(partial(_draw, bank, config), state.step, config.steps, 1),
+            take,
+            progress=progress,
+            save=partial(save, state) if save else None,
+            save_every=save_every,
+        )
 
 
 Share = tuple[Batch, torch.Generator]
@@ -111,17 +111,17 @@ def _one_thread() -> Iterator[None]:
 
 
 def _step(
-    state: PriorState, config: PriorConfig, shares: Sequence[tuple[Tensor, list[Tensor], int]]
+    state: PriorState,
+    config: PriorConfig,
+    shares: Sequence[tuple[Tensor, list[Tensor], int]],
+    save_every: int,
 ) -> None:
     """Change the weights by the mean of the gradients of the ``shares`` of a batch."""
     counts = [count / sum(count for *_, count in shares) for *_, count in shares]
     parts = sum(count * parts for count, (parts, _, _) in zip(counts, shares, strict=True))
     numbers = torch.as_tensor(parts).tolist()
-    if not np.isfinite(numbers).all():
-        raise TsoError(
-            f"the loss became {sum(numbers)} in step {state.step + 1} "
-            f"(at {config.rate(state.step):.2g} of the highest learning rate)"
-        )
+    rate = f"at {config.rate(state.step):.2g} of the highest learning rate"
+    require_finite(sum(numbers), state.step, rate, save_every)
     of_weights = zip(*(gradients for _, gradients, _ in shares), strict=True)
     mean = [
         sum(count * gradient for count, gradient in zip(counts, each, strict=True))
@@ -129,4 +129,4 @@ def _step(
     ]
     state.optimiser.step(mean, config.rate(state.step))
     state.history.append(numbers)
-    state.update_average()
+    state.update_average(state.weights, AVERAGING)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,8 @@ from ...io.output import write_file
 from ...io.reading import shown
 from ...prior.file import packed_prior
 from ...version import __version__
-from ..state import state_path
-from .config import AVERAGING, OF_PREDICTIONS, PriorConfig
+from ..trainer import Course, resumable, state_path, write_log
+from .config import OF_PREDICTIONS, PriorConfig
 from .loss import PARTS
 from .optimiser import Optimiser
 
@@ -30,36 +29,16 @@ PLACES = 20
 Weights = Mapping[str, NDArray[Any]]
 
 
-@dataclass(eq=False)
-class PriorState:
+@dataclass(eq=False, kw_only=True)
+class PriorState(Course):
     """Everything that the next step depends on, except the data and the settings.
 
     weights : name -> parameter, in the order of the optimiser.
-    fingerprint : digest of the shapes of the training.
     history : the parts of the loss of every step (`loss.PARTS`).
-    average : running mean of each weight; empty before the first step.
     """
 
     weights: dict[str, Tensor]
     optimiser: Optimiser
-    fingerprint: str
-    history: list[list[float]] = field(default_factory=list)
-    average: dict[str, Tensor] = field(default_factory=dict)
-
-    @property
-    def step(self) -> int:
-        """Steps done."""
-        return len(self.history)
-
-    def update_average(self) -> None:
-        """Update the running mean of the weights after a step."""
-        weights = [weight.detach() for weight in self.weights.values()]
-        if not self.average:
-            self.average = {name: weight.detach().clone() for name, weight in self.weights.items()}
-        # The decay is smaller in the first steps, so that the initial weights are forgotten.
-        decay = min(AVERAGING, self.step / (self.step + 9.0))
-        with torch.no_grad():
-            torch._foreach_lerp_(list(self.average.values()), weights, 1.0 - decay)
 
     def curve(self) -> list[list[float]]:
         """Up to `PLACES` pairs: a step, and the mean of what was left of the starts up to it.
@@ -84,7 +63,7 @@ def new_state(initial: Weights, fingerprint: str, device: torch.device) -> Prior
         name: torch.tensor(np.asarray(array, np.float32), device=device, requires_grad=True)
         for name, array in initial.items()
     }
-    return PriorState(weights, Optimiser(weights), fingerprint)
+    return PriorState(weights=weights, optimiser=Optimiser(weights), fingerprint=fingerprint)
 
 
 def save_training(
@@ -117,20 +96,13 @@ def save_training(
     write_file(path, prior, overwrite)
 
 
-def check_resumable(path: Path, config: PriorConfig) -> dict[str, Any]:
+def check_resumable(path: Path, config: PriorConfig) -> Mapping[str, Any]:
     """What is known about the training of the prior ``path``, as `save_training` wrote it.
 
     Raises InputError if there is no state of a training with the same settings.
     """
-    file = state_path(path)
-    if not file.exists():
-        raise InputError(
-            f"{file}: does not exist, expected the state of an unfinished training to resume"
-        )
-    about = read_about(file, FORMAT)
-    step, settings = about.get("step"), about.get("settings")
-    if not isinstance(step, int) or isinstance(step, bool) or step < 0:
-        raise InputError(f"{file}: step in the state is {shown(step)}, expected a whole number")
+    file, about, step = resumable(path, lambda file: read_about(file, FORMAT))
+    settings = about.get("settings")
     # With all settings the same, the name of the recipe is that of this run.
     of_this_run: dict[str, Any] = dict.fromkeys(OF_PREDICTIONS) | config.settings()
     of_this_run.pop("recipe", None)
@@ -191,8 +163,5 @@ def write_history(
 ) -> None:
     """Write the settings, then the loss of every step, one JSON object on each line."""
     about = {"supervision": "prior", "training_set": training_set, "version": __version__}
-    lines = [json.dumps(about | config.settings())]
-    for step, parts in enumerate(state.history, 1):
-        row = {"step": step, "loss": sum(parts), **dict(zip(PARTS, parts, strict=True))}
-        lines.append(json.dumps(row))
-    write_file(path, ("\n".join(lines) + "\n").encode(), overwrite)
+    rows = [(sum(parts), *parts) for parts in state.history]
+    write_log(path, about | config.settings(), ("loss", *PARTS), rows, overwrite)
