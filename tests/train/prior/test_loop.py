@@ -85,6 +85,15 @@ def test_a_longer_training_begins_as_a_shorter():
     assert [short.rate(step) for step in range(1501)] == [long.rate(step) for step in range(1501)]
 
 
+def test_a_training_that_was_cooled_may_go_on():
+    short, long = PriorConfig(steps=200), PriorConfig(steps=600, cooled_at=200)
+    assert [short.rate(step) for step in range(200)] == [long.rate(step) for step in range(200)]
+    assert long.rate(199) < 0.1 < long.rate(200)
+    assert long.rate(600) == 0.0
+    with pytest.raises(InputError, match="`cooled_at` is 6, expected less than `steps`, 6"):
+        PriorConfig(steps=6, cooled_at=6)
+
+
 def test_a_short_training_rises_for_a_tenth_of_it():
     assert PriorConfig(steps=16).rate(1) > 0.9
 
@@ -110,7 +119,7 @@ def test_a_resumed_training_gives_the_same_bits(bank, finished, tmp_path):
 
 
 def test_a_training_is_made_longer_before_its_rate_is_cooled(bank, tmp_path):
-    """Then it gives the bits of the longer training; after that it cannot be made longer."""
+    """Then it gives the bits of the longer training; after that only with `cooled_at`."""
     path, state = tmp_path / "other.safetensors", begin()
     shorter, longer = replace(CONFIG, steps=12), replace(CONFIG, steps=16)
 
@@ -127,6 +136,7 @@ def test_a_training_is_made_longer_before_its_rate_is_cooled(bank, tmp_path):
     run(bank, load(path, shorter), shorter, save=lambda state: save(path, state, shorter))
     with pytest.raises(InputError, match="was trained with `steps` 12, this run asks for 16"):
         load(path, longer)
+    assert load(path, replace(longer, cooled_at=12)).step == 12
 
 
 def test_the_number_of_workers_does_not_change_a_bit(bank, finished):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from ...errors import InputError
 from ...option import check, opt
 
 RISING_STEPS = 100  # over these the learning rate rises, or over a tenth of a short training
@@ -38,6 +39,8 @@ class PriorConfig:
     predictions : Most predictions of `predicted_by`; 100 take 10 s.
     steps : Optimiser steps in all, those before `resume` included; the learning rate is 0 after the
         last.
+    cooled_at : The learning rate falls to 0 at this step too, as in a training that ends there; so
+        a finished training can be resumed with more steps.
     batch_size : Starts in a step.
     precision : Number format of the network's layers; bfloat16 is mixed precision.
     device : cpu, cuda, cuda:1, mps or auto.
@@ -50,6 +53,7 @@ class PriorConfig:
     scenes: int = opt(8000, brief=True, least=1)
     predictions: int = opt(1600, least=1)
     steps: int = opt(3000, heading="Optimisation", brief=True, least=1)
+    cooled_at: int = opt(0, least=0)
     batch_size: int = opt(64, brief=True, least=1)
     precision: Literal["float32", "bfloat16"] = opt("float32")
     device: str = opt("cpu", heading="Running", metavar="DEVICE", brief=True)
@@ -60,6 +64,10 @@ class PriorConfig:
 
     def __post_init__(self) -> None:
         check(self)
+        if self.cooled_at >= self.steps:
+            raise InputError(
+                f"`cooled_at` is {self.cooled_at}, expected less than `steps`, {self.steps}"
+            )
 
     def settings(self) -> dict[str, Any]:
         """What a resumed run must have in common with the run that it continues.
@@ -69,16 +77,20 @@ class PriorConfig:
         of_predictions = OF_PREDICTIONS if self.predicted_by else ()
         of_initial = ("initial",) if self.initial else ()
         of_recipe = ("recipe",) if self.recipe else ()
+        of_cooling = ("cooled_at",) if self.cooled_at else ()
         names = ["steps", "batch_size", "scenes", "by_rule", "marred", "depth_maps"]
-        names += ["precision", "seed", *of_predictions, *of_initial, *of_recipe]
+        names += ["precision", "seed", *of_predictions, *of_initial, *of_recipe, *of_cooling]
         return {name: getattr(self, name) for name in names}
 
     def rate(self, step: int) -> float:
         """The learning rate of ``step``, which counts from 0, as a share of the highest one.
 
         It rises, falls with the square root of the step, and is cooled to 0 at the end (Zhai et
-        al., 2022, "Scaling vision transformers"). So a longer training begins as a shorter one.
+        al., 2022, "Scaling vision transformers"). So a longer training begins as a shorter one, and
+        may go on from its end (Wen et al., 2024, "Understanding warmup-stable-decay").
         """
+        if step < self.cooled_at:
+            return replace(self, steps=self.cooled_at, cooled_at=0).rate(step)
         rising = max(1, min(RISING_STEPS, self.steps // 10))
         falling = math.sqrt(HIGHEST_STEPS / max(step + 1, HIGHEST_STEPS))
         cooled = max(0.0, 1.0 - (self.steps - step) / (COOLING_SHARE * self.steps))

@@ -24,6 +24,7 @@ from .loss import PARTS
 from .optimiser import Optimiser
 
 FORMAT = "tso-prior-training-2"
+OF_RATE = ("steps", "cooled_at")  # settings of which the learning rate depends
 # Places of the learning curve in a prior's metadata.
 PLACES = 20
 Weights = Mapping[str, NDArray[Any]]
@@ -102,13 +103,14 @@ def check_resumable(path: Path, config: PriorConfig) -> Mapping[str, Any]:
     Raises InputError if there is no state of a training with the same settings.
     """
     file, about, step = resumable(path, lambda file: read_about(file, FORMAT))
-    settings = about.get("settings")
+    found = about.get("settings")
+    settings = found if isinstance(found, dict) else {}
     # With all settings the same, the name of the recipe is that of this run.
     of_this_run: dict[str, Any] = dict.fromkeys(OF_PREDICTIONS) | config.settings()
     of_this_run.pop("recipe", None)
     for name, value in of_this_run.items():
-        before = settings.get(name) if isinstance(settings, dict) else None
-        if before == value or (name == "steps" and _begins_alike(config, before, step)):
+        before = settings.get(name)
+        if before == value or (name in OF_RATE and _begins_alike(config, settings, step)):
             continue
         raise InputError(
             f"{file}: was trained with `{name}` {shown(before)}, this run asks for {value}; "
@@ -117,11 +119,13 @@ def check_resumable(path: Path, config: PriorConfig) -> Mapping[str, Any]:
     return about
 
 
-def _begins_alike(config: PriorConfig, steps: Any, done: int) -> bool:
-    """Whether a training of ``steps`` steps has done what this one does in its first ``done``."""
-    if not isinstance(steps, int) or steps < 1:
+def _begins_alike(config: PriorConfig, settings: Mapping[str, Any], done: int) -> bool:
+    """Whether the training of ``settings`` has done what this one does in its first ``done``."""
+    try:
+        rates = {name: settings.get(name, 0) for name in OF_RATE}
+        other = replace(config, **rates)
+    except InputError:
         return False
-    other = replace(config, steps=steps)
     return all(config.rate(step) == other.rate(step) for step in range(done))
 
 
