@@ -24,7 +24,7 @@ from .loss import PARTS
 from .optimiser import Optimiser
 
 FORMAT = "tso-prior-training-2"
-OF_RATE = ("steps", "cooled_at")  # settings of which the learning rate depends
+OF_RATE = ("steps", "cooled_at")  # settings that the learning rate depends on
 # Places of the learning curve in a prior's metadata.
 PLACES = 20
 Weights = Mapping[str, NDArray[Any]]
