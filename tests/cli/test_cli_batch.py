@@ -238,7 +238,7 @@ def test_shards_together_do_every_item_once(items, tso):
         (
             "cloud,mask,gamma",
             ["a.ply,m.png,-1"],
-            "row 2: gamma is '-1', expected a number, 0 or more",
+            "row 2: gamma is '-1', expected a number from 0",
         ),
         ("cloud,mask,depth", ["a.ply,,d.png"], "row 2: no MASK was given"),
         ("cloud,mask,mode,refine-camera", ["a.png,m.png,encoder,1"], "row 2: --refine-camera is"),
