@@ -128,5 +128,5 @@ def test_the_command_draws_samples_spread_over_the_data_next_to_the_curves(
     with Image.open(tmp_path / "curves.samples.png") as picture:
         assert picture.size[0] > 800
     alone = tso("curves", tmp_path / "log.jsonl", "-o", tmp_path / "other.png", *network)
-    assert "expected --checkpoint and --data together" in alone.refusal
+    assert "says nothing without --data, expected --data FILE" in alone.refusal
     assert not (tmp_path / "other.png").exists()
