@@ -78,6 +78,7 @@ def test_the_help_is_the_docstring_and_names_options_as_they_are_typed():
     ("values", "message"),
     [
         ({"flour": "oat"}, "`flour` is 'oat', expected one of rye, wheat"),
+        ({"flour": None}, "`flour` is None, expected one of rye, wheat"),
         ({"minutes": 0}, "`minutes` is 0, expected a whole number from 1 to 90"),
         ({"minutes": 2.0}, "`minutes` is 2, expected a whole number"),
         ({"minutes": True}, "`minutes` is True"),

@@ -174,13 +174,14 @@ def declared(kind: Any) -> dict[str, Declared]:
 def described(name: str, hint: Any, field: Any, help: str = "") -> Declared:
     """The option of a field of a dataclass that `opt` made."""
     arguments = get_args(hint)
-    option, optional = field.metadata["option"], NoneType in arguments
+    option = field.metadata["option"]
+    optional = field.default is None or NoneType in arguments
     option = replace(option, help=option.help or " ".join(help.split()))
     is_tuple = get_origin(hint) is tuple
     several, length = is_tuple and Ellipsis in arguments, 1
     if is_tuple and not several and option.parser is None:
         length = len(arguments)
-    if is_tuple or (optional and get_origin(hint) is not Literal):
+    if is_tuple or NoneType in arguments:
         hint = Path if Path in arguments else next(one for one in arguments if one is not NoneType)
     choices = get_args(hint) if get_origin(hint) is Literal else ()
     plain = str if choices else hint
@@ -203,6 +204,9 @@ def _asked(options: Any) -> Iterator[tuple[Declared, Any]]:
 
 def check_values(options: Any) -> None:
     """InputError for a value that an option does not take."""
+    for name, one in declared(options.__class__).items():
+        if getattr(options, name) is None and not one.optional:
+            raise InputError(f"`{one.title}` is None, expected {one.expected}")
     for one, value in _asked(options):
         if not one.several and not one.takes(value):
             raise InputError(f"`{one.title}` is {_shown(value)}, expected {one.expected}")
