@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-from trimesh import Trimesh, triangles
+from trimesh import Scene, Trimesh, triangles
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.io.meshes import SUFFIXES, Mesh, find_meshes, new_mesh, read_mesh, write_mesh
@@ -39,6 +39,10 @@ def tetrahedron(path):
         path.write_bytes(bytes(80) + struct.pack("<I", len(FACES)) + triangles)
     elif path.suffix == ".glb":
         Trimesh(VERTICES, FACES, process=False).export(path)
+    elif path.suffix == ".gltf":
+        files = Scene(Trimesh(VERTICES, FACES, process=False)).export(file_type="gltf")
+        for name, data in files.items():
+            (path if name == "model.gltf" else path.parent / name).write_bytes(data)
     else:
         write_mesh(path, Mesh(VERTICES, FACES))
     return path
@@ -50,7 +54,7 @@ def test_every_format_gives_the_same_triangles(tmp_path, suffix):
     assert mesh.vertices.dtype == np.float64
     assert mesh.faces.dtype == np.int64
     np.testing.assert_allclose(mesh.vertices[mesh.faces], VERTICES[FACES])
-    assert mesh.colours is None
+    assert mesh.paint is None
 
 
 def test_a_quadrilateral_becomes_two_triangles(tmp_path):
@@ -68,22 +72,23 @@ def test_materials_colour_their_own_faces_and_parts_stay_in_place(tmp_path):
         "usemtl red\nf 1 2 3\nusemtl green\nf 2 3 4\n"
     )
     mesh = read_mesh(path)
-    for corners, colour in zip(mesh.vertices[mesh.faces], mesh.colours, strict=True):
-        assert tuple(colour) == ((0, 255, 0) if corners.max() == 9 else (255, 0, 0))
+    for corners, colours in zip(mesh.vertices[mesh.faces], mesh.paint.corners, strict=True):
+        assert (colours == ((0, 1, 0) if corners.max() == 9 else (1, 0, 0))).all()
 
 
-def test_vertex_colours_are_averaged_over_a_face(tmp_path):
+def test_colours_of_vertices_are_interpolated_on_a_face(tmp_path):
     path = tmp_path / "a.ply"
     colours = "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
     text = ply("0 0 0 90 0 0\n1 0 0 0 90 0\n0 1 0 0 0 90\n", "3 0 1 2\n", "3 1")
     path.write_text(text.replace("element face", f"{colours}element face"))
-    assert np.abs(read_mesh(path).colours.astype(int) - 30).max() <= 1
+    middle = read_mesh(path).paint.at(np.array([0]), np.full((1, 3), 1 / 3))
+    np.testing.assert_allclose(middle, 30 / 255, atol=1e-6)
 
 
 BAD = {
     "pickle.glb": (pickle.dumps({"a": 1}), "is a damaged GLB or glTF"),
     "noise.stl": (bytes(range(256)), "no STL file"),
-    "words.obj": (b"hello\n", "mesh"),
+    "words.obj": (b"hello\n", "holds no vertex"),
     "cloud.ply": (ply(faces="", counts="4 0").encode(), "no face"),
     "cloud.obj": (b"v 0 0 0\nv 1 1 1\n", "mesh"),
     "nan.ply": (ply("0 0 0\nnan 0 0\n0 3 0\n0 0 5\n").encode(), "1 of 4 vertices are NaN"),

@@ -265,7 +265,7 @@ ROTATED = {"index": 0, "extensions": {"KHR_texture_transform": {"rotation": 1.0}
         (gltf((0, UV), **textured("lost.png")), "'lost.png' is not in this folder or below"),
         (gltf((0, UV), **textured("../out.png")), "'../out.png' is not in this folder or below"),
         (gltf((0, UV), **textured("http://a.b/c.png")), "'http://a.b/c.png' is not in this folder"),
-        (gltf((0, {}), **textured()), "a texture has no coordinates on the mesh"),
+        (gltf((0, {}), **textured()), "the texture 'number 0' has no coordinates on the mesh"),
         (gltf((0, {"TEXCOORD_0": np.full((4, 2), np.nan, "f4")}), **textured()), "not finite"),
         (gltf((0, UV), **textured(baseColorTexture=ROTATED)), "a texture is rotated on its mesh"),
         (gltf((7, UV), **textured()), r"damaged (list index out of range)"),

@@ -16,10 +16,10 @@ from tests.scenes import EXAMPLES, seen, turned
 from tso_cli import Camera, RefineConfig, View
 from tso_cli import refine as refine_points
 from tso_cli.cli import main
-from tso_cli.io import textures
+from tso_cli.io import paint
 from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import read_cloud
-from tso_cli.io.textures import Texture
+from tso_cli.io.paint import Paint, Texture
 from tso_cli.io.views import ViewFiles
 from tso_cli.plots.page.packing import packed
 from tso_cli.plots.page.pictures import outline
@@ -228,19 +228,20 @@ def test_a_mesh_whose_textures_are_too_large_is_drawn_without_them_and_the_page_
     folder, refine, monkeypatch
 ):
     textured_box().export("box.glb")
-    monkeypatch.setattr(textures, "MOST_PIXELS", 64)
+    monkeypatch.setattr(paint, "MOST_PIXELS", 64)
     arguments = ("--camera", "camera.json", "--steps", "0", "--report", "page.html")
     assert refine("box.glb", "mask.png", *arguments).code == 0
     drawn = solid(Path("page.html").read_text())
     assert drawn["textures"] == []
-    words = "box.glb: its textures have 4,096 pixels together, expected at most 64"
-    assert drawn["notes"][0].startswith(f"The mesh is drawn without textures: {words}")
+    words = "the texture 'number 0' is one too many: expected at most 64 pixels in all"
+    assert drawn["notes"] == [f"A texture is not drawn: {words}."]
 
 
 def test_a_picture_that_two_parts_share_is_drawn_in_the_colour_of_each():
-    white, faces = np.full((4, 4, 3), 200, np.uint8), (np.array([0]), np.zeros((1, 3, 2)))
-    tints = ((1.0, 0.5, 0.0), (0.0, 0.5, 1.0), None)
-    uris = _texture_uris(tuple(Texture(white, *faces, tint) for tint in tints))
+    white, places = np.full((4, 4, 3), 200, np.uint8), np.zeros((1, 3, 2))
+    tints = np.array([[1.0, 0.5, 0.0], [0.0, 0.5, 1.0], [1.0, 1.0, 1.0]], np.float32)
+    textures = tuple(Texture(white, np.array([face]), places) for face in range(3))
+    uris = _texture_uris(Paint(tints[:, None].repeat(3, axis=1), textures))
     shown = [Image.open(io.BytesIO(base64.b64decode(uri.partition(",")[2]))) for uri in uris]
     colours = [image.convert("RGB").getpixel((1, 1)) for image in shown]
     np.testing.assert_allclose(colours, [[200, 100, 0], [0, 100, 200], [200] * 3], atol=8)

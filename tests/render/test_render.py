@@ -12,6 +12,7 @@ from tests.corruption import assert_refused
 from tso_cli import Camera, TsoError
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.meshes import Mesh
+from tso_cli.io.paint import Paint
 from tso_cli.render import rays, viewpoints
 from tso_cli.render.folder import render_mesh
 from tso_cli.render.normalise import normalise
@@ -148,7 +149,10 @@ def test_mask_and_projected_surface_agree_for_any_camera(model):
 def test_nearer_parts_hide_those_behind():
     mesh = joined(box((0.4, 0.4, 0.1), (0, 0, 0.3)), box((1, 1, 0.1), (0, 0, -0.3)))
     scene = RayScene(
-        replace(mesh, colours=np.repeat(np.uint8([[255, 0, 0], [0, 0, 255]]), 12, axis=0))
+        replace(
+            mesh,
+            paint=Paint.of_faces(np.repeat(np.uint8([[255, 0, 0], [0, 0, 255]]), 12, axis=0)),
+        )
     )
     front, back = (
         render_view(scene, look_at(azimuth, 0.0, 3.0, (33, 33), 40.0)).image

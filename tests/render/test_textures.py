@@ -11,12 +11,11 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import EpsImagePlugin, Image
-from trimesh.visual import gloss
 from trimesh.visual.material import PBRMaterial, SimpleMaterial
 
 from tso_cli.io.images import read_image
 from tso_cli.io.meshes import Mesh, read_mesh
-from tso_cli.io.textures import Texture
+from tso_cli.io.paint import Paint, Texture
 from tso_cli.render.folder import render_folder
 from tso_cli.render.normalise import normalise
 from tso_cli.render.rays import RayScene, render_view
@@ -69,11 +68,17 @@ def edited(path, change):
 def unlit(mesh, size=60):
     """The front of a mesh whose texture fills it: colours without the light, [size, size, 3]."""
     camera = look_at(0.0, 0.0, 2.0, (size, size), 1.6 * size)
-    white = Mesh(mesh.vertices, mesh.faces, np.full((len(mesh.faces), 3), 255, np.uint8))
+    white = replace(mesh, paint=Paint(np.ones((len(mesh.faces), 3, 3), np.float32)))
     image, light = (
         render_view(RayScene(each), camera).image.astype(float) for each in (mesh, white)
     )
     return image / light[..., :1] * 255.0
+
+
+def corner_colours(mesh):
+    """The colour [F, 3] of the first corner of each face, of 0 to 255."""
+    faces = np.arange(len(mesh.faces))
+    return np.rint(255.0 * mesh.paint.at(faces, np.eye(3)[np.zeros_like(faces)])).astype(int)
 
 
 def parts(folder, materials, faces):
@@ -129,11 +134,12 @@ def test_the_base_colour_of_a_glb_multiplies_its_texture_and_kd_of_an_obj_does_n
         baseColorTexture=filled((200, 200, 200)), baseColorFactor=[0.5, 1.0, 0.2, 1.0]
     )
     square(material).export(tmp_path / "a.glb")
-    (texture,) = read_mesh(tmp_path / "a.glb").textures
-    colours = texture.at(np.array([0, 1]), np.zeros((2, 2)))
+    colours = corner_colours(read_mesh(tmp_path / "a.glb"))
     np.testing.assert_allclose(colours, [[100, 200, 40]] * 2, atol=1)
     # Writers put anything there: trimesh a grey.
-    np.testing.assert_array_equal(read_mesh(saved(tmp_path / "a.obj")).textures[0].pixels, CHECKS)
+    mesh = read_mesh(saved(tmp_path / "a.obj"))
+    np.testing.assert_array_equal(mesh.paint.textures[0].pixels, CHECKS)
+    assert (mesh.paint.corners == 1.0).all()
 
 
 def test_each_part_of_a_scene_has_its_texture_wherever_it_stands(tmp_path):
@@ -168,16 +174,16 @@ def test_materials_of_an_obj_have_their_textures_or_their_plain_colour(tmp_path)
     mesh = read_mesh(
         parts(tmp_path, materials, "usemtl two\nf 2/1 3/2 4/3\nusemtl one\nf 1/1 2/2 3/3\n")
     )
-    (texture,) = mesh.textures
+    (texture,) = mesh.paint.textures
     assert texture.pixels[0, 0].tolist() == list(RED)
     assert mesh.vertices[mesh.faces[texture.faces]].max() == 1
-    assert np.delete(mesh.colours, texture.faces, axis=0).tolist() == [[0, 255, 0]]
+    assert corner_colours(mesh).tolist() == [[0, 255, 0], list(RED)]
 
 
 def test_options_of_a_texture_are_ignored(tmp_path):
     path, material = saved(tmp_path / "a.obj"), tmp_path / "material.mtl"
     material.write_text(material.read_text().replace("map_Kd ", "map_Kd -s 2 2 1 "))
-    np.testing.assert_array_equal(read_mesh(path).textures[0].pixels, CHECKS)
+    np.testing.assert_array_equal(read_mesh(path).paint.textures[0].pixels, CHECKS)
 
 
 def test_grey_palette_and_transparent_textures_are_read_as_colours(tmp_path):
@@ -192,19 +198,17 @@ def test_grey_palette_and_transparent_textures_are_read_as_colours(tmp_path):
     for image in (arrays[0], *map(Image.fromarray, arrays[1:])):
         image.save(tmp_path / "material_0.png")
         np.testing.assert_array_equal(
-            read_mesh(tmp_path / "a.obj").textures[0].pixels, np.dstack([grey] * 3)
+            read_mesh(tmp_path / "a.obj").paint.textures[0].pixels, np.dstack([grey] * 3)
         )
 
 
 def test_a_normalised_or_warped_mesh_keeps_its_texture_and_a_painted_one_does_not(tmp_path):
     mesh = read_mesh(saved(tmp_path / "a.glb"))
-    mesh = Mesh(np.vstack([[9, 9, 9], mesh.vertices]), mesh.faces + 1, mesh.colours, mesh.textures)
-    textured, plain = (unlit(normalise(each)) for each in (mesh, replace(mesh, textures=())))
+    mesh = Mesh(np.vstack([[9, 9, 9], mesh.vertices]), mesh.faces + 1, mesh.paint)
+    textured, plain = (unlit(normalise(each)) for each in (mesh, replace(mesh, paint=None)))
     assert np.abs(textured - plain).max() > 50
-    np.testing.assert_array_equal(
-        warp(normalise(mesh), np.random.default_rng(0)).textures, mesh.textures
-    )
-    assert paint(mesh, np.random.default_rng(0)).textures == ()
+    assert warp(normalise(mesh), np.random.default_rng(0)).paint is mesh.paint
+    assert paint(mesh, np.random.default_rng(0)).paint.textures == ()
 
 
 # Pictures that several materials name
@@ -216,9 +220,10 @@ def test_materials_of_different_colours_share_the_picture_of_a_glb(tmp_path):
         white = filled((200, 200, 200))
         scene.add_geometry(square(PBRMaterial(baseColorFactor=tint, baseColorTexture=white)))
     scene.export(tmp_path / "a.glb")
-    one, other = read_mesh(tmp_path / "a.glb").textures
-    assert one.pixels is other.pixels
-    colours = sorted(each.at(np.array([0]), np.zeros((1, 2)))[0].tolist() for each in (one, other))
+    mesh = read_mesh(tmp_path / "a.glb")
+    first, second = mesh.paint.textures
+    assert first.pixels is second.pixels
+    colours = np.unique(corner_colours(mesh), axis=0)
     np.testing.assert_allclose(colours, [[0, 100, 200], [200, 100, 0]], atol=1)
 
 
@@ -226,38 +231,31 @@ def test_a_file_that_several_materials_of_an_obj_name_is_decoded_once(tmp_path):
     filled(RED).save(tmp_path / "red.png")
     materials = "newmtl one\nmap_Kd red.png\nnewmtl two\nmap_Kd ./red.png\n"
     path = parts(tmp_path, materials, "usemtl one\nf 1/1 2/1 3/1\nusemtl two\nf 2/1 3/1 4/1\n")
-    one, other = read_mesh(path).textures
-    assert one.pixels is other.pixels
+    first, second = read_mesh(path).paint.textures
+    assert first.pixels is second.pixels
 
 
-def glossy(folder, own, monkeypatch):
-    """A mesh whose material has a picture for specular and glossiness, which is not converted."""
+def glossy(folder, own):
+    """A mesh whose material has a picture for specular and glossiness."""
 
     def change(header):
         stated = {"diffuseTexture": {"index": 0}, "diffuseFactor": [1.0, 0.5, 1.0, 1.0]}
         extensions = {"KHR_materials_pbrSpecularGlossiness": stated}
         header["materials"] = [{"extensions": extensions, **own}]
 
-    converted = []
-    monkeypatch.setattr(gloss, "specular_to_pbr", lambda **given: converted.append(given))
-    path = edited(saved(folder / "a.glb"), change)
-    mesh = read_mesh(path)
-    assert len(read_mesh(path, textures=False).faces) == 2
-    assert converted == []
-    return mesh
+    return read_mesh(edited(saved(folder / "a.glb"), change))
 
 
-def test_the_diffuse_picture_of_a_glossy_material_stands_for_its_base_colour(tmp_path, monkeypatch):
-    (texture,) = glossy(tmp_path, {}, monkeypatch).textures
-    np.testing.assert_array_equal(texture.pixels, CHECKS)
-    assert texture.tint == pytest.approx((1.0, 0.5, 1.0), abs=0.01)
+def test_the_diffuse_picture_of_a_glossy_material_stands_for_its_base_colour(tmp_path):
+    paint = glossy(tmp_path, {}).paint
+    np.testing.assert_array_equal(paint.textures[0].pixels, CHECKS)
+    np.testing.assert_allclose(paint.corners[0], [[1.0, 0.5, 1.0]] * 3)
 
 
-def test_the_base_colour_of_a_glossy_material_comes_first_if_it_has_one(tmp_path, monkeypatch):
-    own = {"pbrMetallicRoughness": {"baseColorFactor": [0.0, 0.0, 1.0, 1.0]}}
-    mesh = glossy(tmp_path, own, monkeypatch)
-    assert mesh.textures == ()
-    assert mesh.colours[0].tolist() == [0, 0, 255]
+def test_the_base_colour_of_a_glossy_material_comes_first_if_it_has_one(tmp_path):
+    mesh = glossy(tmp_path, {"pbrMetallicRoughness": {"baseColorFactor": [0.0, 0.0, 1.0, 1.0]}})
+    assert mesh.paint.textures == ()
+    assert corner_colours(mesh)[0].tolist() == [0, 0, 255]
 
 
 # Textures that cannot be used
@@ -332,10 +330,9 @@ def test_a_texture_that_cannot_be_used_gives_one_warning_and_the_colour_of_the_m
     mesh, message = warned(path)
     assert BROKEN[kind] in message
     assert programs == []
-    assert mesh.textures == ()
-    assert mesh.colours is not None
+    assert mesh.paint is None or mesh.paint.textures == ()
     if kind.startswith("obj"):
-        assert np.abs(mesh.colours.astype(int) - [90, 60, 30]).max() <= 1
+        assert np.abs(corner_colours(mesh).astype(int) - [90, 60, 30]).max() <= 1
 
 
 def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_is_rendered(
@@ -345,8 +342,8 @@ def test_a_texture_beside_the_folder_of_the_mesh_is_read_where_the_folder_above_
     source, output = tmp_path / "in", tmp_path / "out"
     source.mkdir()
     path = broken("obj, elsewhere", source)
-    assert read_mesh(path, within=source).textures
-    assert not warned(path)[0].textures
+    assert read_mesh(path, within=source).paint.textures
+    assert not warned(path)[0].paint.textures
     assert render_folder(source, output, RenderSettings(views=1, size=(32, 32))).written == [
         "inner/a"
     ]
@@ -364,7 +361,7 @@ def test_a_link_out_of_the_folder_is_not_followed(tmp_path):
 def test_a_texture_beside_a_glb_is_read(tmp_path):
     path = broken("glb, missing", tmp_path)
     Image.fromarray(CHECKS).save(tmp_path / "wood.png")
-    np.testing.assert_array_equal(read_mesh(path).textures[0].pixels, CHECKS)
+    np.testing.assert_array_equal(read_mesh(path).paint.textures[0].pixels, CHECKS)
 
 
 def test_several_textures_that_are_missing_are_counted_in_one_line(tmp_path):
@@ -376,7 +373,7 @@ def test_several_textures_that_are_missing_are_counted_in_one_line(tmp_path):
 @pytest.mark.filterwarnings("error")
 def test_reading_without_textures_gives_no_warning_nor_does_evaluation(tmp_path, tso):
     path = broken("obj, missing", tmp_path)
-    assert read_mesh(path, textures=False).textures == ()
+    assert read_mesh(path, textures=False).paint is None
     assert tso("eval", path, path).code == 0
 
 

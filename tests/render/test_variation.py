@@ -64,8 +64,8 @@ def test_paint_gives_each_part_one_colour_and_leaves_the_shape():
     for painted in several:
         np.testing.assert_array_equal(painted.vertices, mesh.vertices)
         for part in np.unique(parts):
-            assert len(np.unique(painted.colours[parts == part], axis=0)) == 1
-    assert len({tuple(painted.colours[0]) for painted in several}) == 5
+            assert len(np.unique(painted.paint.corners[parts == part].reshape(-1, 3), axis=0)) == 1
+    assert len({tuple(painted.paint.corners[0, 0]) for painted in several}) == 5
 
 
 def test_copies_are_rendered_beside_the_meshes_of_a_split(tso_render, tmp_path):

@@ -17,15 +17,14 @@ from numpy.typing import NDArray
 from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import as_triangles, longest_side
-from .movable import MovableFile, in_words
-from .output import check_output, reason, write_file
-from .paint import Paint
+from .movable import SUFFIXES as MOVABLE
+from .movable import MovableFile, in_words, read_movable
+from .output import check_output, write_file
+from .paint import Paint, Pictures
 from .ply import PlyFile, new_ply
 from .reading import is_there, plain, read_array, read_bytes, require_memory, shown
 from .similarity import Similarity, similarity_of
 
-# Files that are written again with other vertices, byte for byte the same otherwise.
-MOVABLE = (".ply", ".glb", ".gltf", ".obj")
 MESHES = (".off", ".stl")
 ARRAYS = (".npy", ".npz", ".pt")
 TABLES = (".xyz", ".txt", ".csv", ".pts", ".pcd")
@@ -78,14 +77,15 @@ class PointCloud:
 
         A warning says why a texture cannot be used; then there are none.
         """
-        # Pictures only decorate: whatever is wrong with them must not stop the work.
-        try:
-            with np.errstate(all="ignore"):
-                return self.source.read_paint() if self.source else None
-        except Exception as error:
-            why = reason(error) if isinstance(error, InputError) else f"damaged ({reason(error)})"
+        if self.source is None:
+            return None
+        pictures = Pictures(self.path)
+        paint = self.source.paint(pictures)
+        if pictures.missing:
+            why = pictures.missing[0]
             warnings.warn(f"{self.path}: its textures are not used: {why}", stacklevel=2)
             return None
+        return None if paint is None or paint.is_plain else paint
 
     def faint(self) -> Bits | None:
         """[N], splats of an opacity under 5 %; None if the file has no splats."""
@@ -147,7 +147,7 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
             triangles = None if faces is None else as_triangles(faces, len(points), str(path))
             cloud = PointCloud(points, path, precision, triangles=triangles)
         elif suffix in MOVABLE:
-            source = _movable(suffix, data, path)
+            source = read_movable(data, path, BYTES_PER_POINT)
             precision = "float32" if set(source.kinds) == {"f4"} else "float64"
             cloud = PointCloud(source.read(), path, precision, source)
         elif suffix in MESHES:
@@ -180,18 +180,6 @@ def colmap_points(path: Path) -> Path | None:
         return None
     places = [path / below / name for below in MODEL_PLACES for name in COLMAP_POINTS]
     return next(filter(is_there, places), None)
-
-
-def _movable(suffix: str, data: bytes, path: Path) -> MovableFile:
-    if suffix == ".ply":
-        return PlyFile(data, path, BYTES_PER_POINT)
-    if suffix == ".obj":
-        from .obj import ObjFile
-
-        return ObjFile(data, path)
-    from .gltf import GltfFile
-
-    return GltfFile(data, path)
 
 
 def write_cloud(

@@ -39,10 +39,9 @@ from .gltf_scene import (
 )
 from .guard import reading
 from .movable import MovableFile
-from .paint import Paint, refuse
+from .paint import Paint, Pictures, Texture
 from .reading import plain, read_bytes, require_memory
 from .similarity import Similarity, similarity_of
-from .textures import Folder, Texture
 
 # What stands for 1 in colours and texture coordinates of whole numbers.
 _FULL = {"u1": 255.0, "u2": 65535.0}
@@ -172,6 +171,7 @@ class GltfFile(Checked, MovableFile):
         name = unquote(uri)
         parts = Path(name.replace("\\", "/")).parts
         outside = "://" in name or ".." in parts or not parts or Path(*parts).is_absolute()
+        outside = outside or not name.isprintable()
         if outside or max(len(part.encode("utf-8", "replace")) for part in parts) > _LONGEST_NAME:
             raise self.error("uri", plain(name), "a file in the same folder")
         return read_bytes(
@@ -341,12 +341,11 @@ class GltfFile(Checked, MovableFile):
         colours = np.concatenate([_as_shares(v[:, :3]) for _, v in values])
         return colours if ((colours >= 0.0) & (colours <= 1.0)).all() else None
 
-    def read_paint(self) -> Paint | None:
+    def read_paint(self, pictures: Pictures) -> Paint:
         """The base colours of the materials, times the colours of the vertices."""
         from .gltf_paint import Materials
 
-        folder = Folder(self.path, None, refuse)
-        materials = Materials(self._document, self._bytes_of_view, folder)
+        materials = Materials(self._document, self._bytes_of_view, pictures)
         corners, textures, first = [], [], 0
         for one in self._primitives:
             coat, faces = materials.coat(one.material), first + np.arange(len(one.triangles))
@@ -358,11 +357,12 @@ class GltfFile(Checked, MovableFile):
             if coat.picture is not None and len(faces):
                 accessor = one.attributes.get(f"TEXCOORD_{coat.coordinates}")
                 if accessor is None:
-                    raise InputError("a texture has no coordinates on the mesh")
+                    pictures.miss(coat.name, "has no coordinates on the mesh")
+                    continue
                 places = coat.placed(_as_shares(self._values(accessor, ("VEC2",))))
                 at = places[one.triangles]
                 textures.append(Texture(coat.picture, faces, at, wraps=coat.wraps))
-        return Paint.of(corners, textures)
+        return Paint.of_parts(corners, textures)
 
     def _bytes_of_view(self, number: int) -> bytes:
         view = self._views[number]

@@ -13,8 +13,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Pixels
 from .gltf_scene import base_colour_of
-from .paint import Decoder
-from .textures import Folder, Wrap
+from .paint import Pictures, Wrap
 
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
 _TRANSFORM = "KHR_texture_transform"
@@ -29,6 +28,7 @@ class Coat:
     """
 
     factor: Array
+    name: str = ""  # of the picture
     picture: Pixels | None = None
     coordinates: int = 0
     wraps: tuple[Wrap, Wrap] = ("repeat", "repeat")
@@ -47,15 +47,14 @@ class Materials:
     """The materials of a scene's ``document``, each read when it is met.
 
     ``bytes_of`` gives the bytes of a buffer view. Errors of any kind say that the document is
-    damaged or a picture missing.
+    damaged.
     """
 
     def __init__(
-        self, document: dict[str, Any], bytes_of: Callable[[int], bytes], folder: Folder
+        self, document: dict[str, Any], bytes_of: Callable[[int], bytes], pictures: Pictures
     ) -> None:
-        self._document, self._bytes_of, self._folder = document, bytes_of, folder
-        self._pictures: dict[int, Pixels] = {}
-        self._decode = Decoder()
+        self._document, self._bytes_of, self._pictures = document, bytes_of, pictures
+        self._decoded: dict[int, tuple[str, Pixels | None]] = {}
 
     def coat(self, number: int | None) -> Coat:
         """The material ``number``; None is that of a primitive without one, which is white."""
@@ -76,27 +75,27 @@ class Materials:
         right, below = moved.get("offset", (0.0, 0.0))
         return Coat(
             factor,
-            self._picture(texture),
+            *self._picture(texture),
             moved.get("texCoord", picture.get("texCoord", 0)),
             (across, down),
             (float(u), float(v)),
             (float(right), float(below)),
         )
 
-    def _picture(self, texture: dict[str, Any]) -> Pixels:
+    def _picture(self, texture: dict[str, Any]) -> tuple[str, Pixels | None]:
+        """The name of the picture of a texture and, if it can be used, its pixels [H, W, 3]."""
         # A form such as WebP has its own source; the plain one is for readers without this form.
         sources = [texture, *texture.get("extensions", {}).values()]
-        number = next(one["source"] for one in sources if "source" in one)
-        if number not in self._pictures:
-            self._pictures[number] = self._decoded(number)
-        return self._pictures[number]
-
-    def _decoded(self, number: int) -> Pixels:
-        image = self._document["images"][number]
-        if "bufferView" in image:
-            name = str(image.get("name") or f"number {number}")
-            return self._decode(self._bytes_of(image["bufferView"]), name)
-        uri = image["uri"]
-        if uri[:5].lower() == "data:":
-            return self._decode(base64.b64decode(uri.partition(",")[2]), f"number {number}")
-        return self._decode(self._folder.get(unquote(uri)), uri)
+        number = next(source["source"] for source in sources if "source" in source)
+        if number not in self._decoded:
+            image = self._document["images"][number]
+            name, uri = str(image.get("name") or f"number {number}"), image.get("uri", "")
+            if "bufferView" in image:
+                pixels = self._pictures.decoded(self._bytes_of(image["bufferView"]), name)
+            elif uri[:5].lower() == "data:":
+                pixels = self._pictures.decoded(base64.b64decode(uri.partition(",")[2]), name)
+            else:
+                name = unquote(image["uri"])
+                pixels = self._pictures.of_file(name)
+            self._decoded[number] = name, pixels
+        return self._decoded[number]

@@ -26,7 +26,6 @@ WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "M
 # What a reader takes of a node's own copy of a mesh, in bytes.
 _BYTES_PER_VERTEX, _BYTES_PER_CORNER = 100, 60
 _GLOSS = "KHR_materials_pbrSpecularGlossiness"
-_GLOSS_PICTURES = ("diffuseTexture", "specularGlossinessTexture")
 
 
 def scene_text(data: bytes, path: Path) -> tuple[str, bytes]:
@@ -111,24 +110,6 @@ def memory_of(checked: Checked, document: dict[str, Any]) -> int:
         stored += entry(meshes, node["mesh"]) if "mesh" in node else 0
     checked.place = ""
     return stored
-
-
-def with_base_colours(data: bytes) -> bytes:
-    """The GLB ``data`` with base colours in place of pictures for specular and glossiness.
-
-    trimesh would mix the pictures of such a material in floating point while it reads, 240 bytes
-    for a pixel, and whether or not textures are wanted.
-    """
-    length = struct.unpack_from("<I", data, 12)[0]
-    document, changed = json.loads(data[20 : 20 + length]), False
-    for material in document.get("materials", ()):
-        extensions = material.get("extensions") or {}
-        gloss = extensions.get(_GLOSS)
-        if isinstance(gloss, dict) and gloss.keys() & set(_GLOSS_PICTURES):
-            material["pbrMetallicRoughness"] = base_colour_of(material)
-            del extensions[_GLOSS]
-            changed = True
-    return glb_of(data, json.dumps(document), data[20 + length :]) if changed else data
 
 
 def base_colour_of(material: dict[str, Any]) -> dict[str, Any]:

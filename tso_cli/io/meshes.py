@@ -1,32 +1,34 @@
-"""Triangle meshes: reads PLY, OBJ, OFF, STL and GLB; writes them without textures."""
+"""Triangle meshes: reads PLY, OBJ, glTF, OFF and STL; writes them without textures."""
 
 from __future__ import annotations
 
 import io
 import logging
+import re
+import struct
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.arrays import Array, Indices, Pixels
+from ..geometry.arrays import Array, Indices
 from ..signals import waiting_signals
-from .gltf_scene import with_base_colours
-from .mesh_checks import check_glb, check_off, check_ply, check_stl, parted
-from .obj import simplified
+from .movable import SUFFIXES as MOVABLE
+from .movable import read_movable
 from .output import reason, write_file
+from .paint import Paint, Pictures
 from .ply import new_ply
-from .reading import read_bytes
-from .textures import Pictures, Texture, Tint
+from .reading import read_bytes, shown
 
-GREY = (170, 170, 170)  # the colour of faces that have no colour
-CHECKS = {"ply": check_ply, "off": check_off, "stl": check_stl, "glb": check_glb}
-# What makes of a file one that trimesh reads well.
-SIMPLER = {"obj": simplified, "off": parted, "glb": with_base_colours}
-SUFFIXES = (".ply", ".obj", ".off", ".stl", ".glb")
+SUFFIXES = (*MOVABLE, ".off", ".stl")
+# Pictures on a mesh that is rendered are shrunk until their longer side is about that, px.
+FINEST_PICTURE = 4096
+_HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL file
+_GLUED = re.compile(rb"\A(\s*OFF)(?=\d)")
+_COUNTS = re.compile(rb"OFF\s*(?:#[^\n]*\n\s*)*(\d{1,18})\s+(\d{1,18})[^\n]*")
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +37,7 @@ class Mesh:
 
     vertices: Array  # [V, 3]
     faces: Indices  # [F, 3], indices of vertices
-    colours: Pixels | None = None  # [F, 3], one RGB colour per face, the mean of vertex colours
-    textures: tuple[Texture, ...] = ()  # a texture replaces the colours of its faces
+    paint: Paint | None = None
 
 
 def find_meshes(folder: Path) -> list[Path]:
@@ -65,22 +66,26 @@ def find_meshes(folder: Path) -> list[Path]:
 def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> Mesh:
     """Read a triangle mesh; polygons become triangles, the order of vertices and faces stays.
 
-    With ``textures`` the pictures on the mesh are read too: baseColorTexture (times
-    baseColorFactor) of .glb and map_Kd of .obj. They must be inside the file, or in the folder
-    ``within`` (None: the folder of the mesh) or below. If a picture cannot be read, a warning says
-    so and the material's colour is used.
+    With ``textures`` its paint is read too: baseColorTexture (times baseColorFactor) of .glb and
+    .gltf, map_Kd of .obj, or the colours of the vertices. Pictures must be inside the file, or in
+    the folder ``within`` (None: the folder of the mesh) or below. If a picture cannot be read, a
+    warning says so and the material's colour is used.
 
     Raises InputError if the file cannot be read, holds no face or no area, if a face names a
     missing vertex, or if a coordinate is not finite.
     """
-    if path.suffix.lower() not in SUFFIXES and path.is_file():
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES and path.is_file():
         raise InputError(
             f"{path}: the suffix is {path.suffix!a}, expected a mesh: {', '.join(SUFFIXES)}"
         )
     content = read_bytes(path, f"a mesh ({', '.join(SUFFIXES)})")
-    pictures = Pictures(path, content, textures, within)
-    mesh = _parse(path, content, pictures)
-    vertices, faces = mesh.vertices, mesh.faces
+    source = read_movable(content, path) if suffix in MOVABLE else None
+    if source is None:
+        vertices, faces = _of_trimesh(path, content)
+    else:
+        vertices, triangles = source.read(), source.read_faces()
+        faces = np.empty((0, 3), np.int64) if triangles is None else triangles
     if len(vertices) == 0:
         raise InputError(f"{path}: no vertices, expected a mesh")
     if len(faces) == 0:
@@ -101,53 +106,32 @@ def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> 
         raise InputError(
             f"{path}: the area of its {len(faces):,} faces is {area:g}, expected a surface"
         )
-    if textures and pictures.missing:
+    if source is None or not textures:
+        return Mesh(vertices, faces)
+    pictures = Pictures(path, within, FINEST_PICTURE)
+    paint = source.paint(pictures)
+    if paint is None:
+        with suppress(InputError):  # of colours that are none
+            colours = source.read_colours()
+            paint = None if colours is None else Paint.of_vertices(colours, faces)
+    elif not paint.textures and (paint.corners == 1.0).all():
+        paint = None  # no material says anything
+    if pictures.missing:
         more = f" ({len(pictures.missing)} in all)" if len(pictures.missing) > 1 else ""
-        warnings.warn(
-            f"{path}: {pictures.missing[0]}{more}, the material's colour is used", stacklevel=2
-        )
-    return mesh
+        line = f"{path}: {pictures.missing[0]}{more}, the material's colour is used"
+        warnings.warn(line, stacklevel=2)
+    return Mesh(vertices, faces, paint)
 
 
-def _parse(path: Path, content: bytes, pictures: Pictures) -> Mesh:
-    """All parts of the file as one mesh, each part at the place that the file gives it.
-
-    Raises InputError if the file cannot be read or a face names a missing vertex.
-    """
-    parts, pictured = _load_parts(path, content, pictures)
-    vertices, faces = [np.empty((0, 3))], [np.empty((0, 3), np.int64)]
-    colours, coloured, textures = [], False, []
-    first_vertex, first_face = 0, 0
-    for part, points, triangles in parts:
-        if triangles.size and not 0 <= triangles.min() <= triangles.max() < len(points):
-            wrong = triangles.min() if triangles.min() < 0 else triangles.max()
-            raise InputError(
-                f"{path}: a face names vertex {wrong}, expected 0 to {len(points) - 1}"
-            )
-        picture = pictured.get(part.metadata.get("name"))
-        if picture is not None:
-            numbers = np.arange(first_face, first_face + len(triangles))
-            corners = np.asarray(part.visual.uv, dtype=np.float64)[triangles]
-            textures.append(Texture(picture[0], numbers, corners, picture[1]))
-        of_part = _face_colours(part, len(triangles))
-        coloured = coloured or of_part is not None
-        grey = np.full((len(triangles), 3), GREY, np.uint8)
-        colours.append(grey if of_part is None else of_part)
-        vertices.append(points)
-        faces.append(triangles + first_vertex)
-        first_vertex, first_face = first_vertex + len(points), first_face + len(triangles)
-    return Mesh(
-        np.concatenate(vertices),
-        np.concatenate(faces),
-        np.concatenate(colours) if coloured else None,
-        tuple(textures),
-    )
-
-
-def _load_parts(
-    path: Path, content: bytes, pictures: Pictures
-) -> tuple[list[tuple[Any, Array, Indices]], dict[str, tuple[Pixels, Tint | None]]]:
-    """Each part of the file with its vertices and faces, and the pictures of geometries."""
+def _of_trimesh(path: Path, content: bytes) -> tuple[Array, Indices]:
+    """Vertices [V, 3] and faces [F, 3] of a .off or .stl file, which trimesh reads."""
+    kind = path.suffix.lower()[1:]
+    if kind == "off":
+        _check_off(content, path)
+        # Files of ModelNet have the counts behind OFF, without a space.
+        content = _GLUED.sub(rb"\1\n", content, count=1)
+    else:
+        _check_stl(content, path)
     with waiting_signals():
         import trimesh
     # trimesh logs its own errors with a traceback. The one line that is raised below replaces them.
@@ -158,47 +142,96 @@ def _load_parts(
         # trimesh takes Ctrl-C in the middle of a file for a part that cannot be read.
         with np.errstate(all="ignore"), warnings.catch_warnings(), waiting_signals():
             warnings.simplefilter("ignore")
-            kind = path.suffix.lower()[1:]
-            if kind in CHECKS:
-                CHECKS[kind](content, path)
-            if kind in SIMPLER:
-                content = SIMPLER[kind](content)
-            scene = trimesh.load_scene(
-                io.BytesIO(content), file_type=kind, process=False, resolver=pictures.resolver
-            )
-            pictured = pictures.take(scene.geometry)
-            parts = []
-            for part in scene.dump():
-                vertices = np.array(getattr(part, "vertices", ()), dtype=np.float64)
-                faces = np.array(getattr(part, "faces", ()), dtype=np.int64)
-                parts.append((part, vertices.reshape(-1, 3), faces.reshape(-1, 3)))
-    except InputError:
-        raise
+            mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
+            vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
+            faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
     # A damaged file can make the parser raise anything.
     except Exception as error:
         raise InputError(
-            f"{path}: is not a readable {path.suffix.lower()} mesh ({reason(error)}), "
-            "expected a whole file"
+            f"{path}: is not a readable .{kind} mesh ({reason(error)}), expected a whole file"
         ) from None
     finally:
         log.setLevel(before)
-    return parts, pictured
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        wrong = faces.min() if faces.min() < 0 else faces.max()
+        raise InputError(f"{path}: a face names vertex {wrong}, expected 0 to {len(vertices) - 1}")
+    return vertices, faces
 
 
-def _face_colours(part: Any, count: int) -> Pixels | None:
-    """RGB of every face [F, 3]; None if the file has no colour or one that cannot be read."""
-    # Colours only decorate the picture: an unusual material must not stop the work.
-    try:
-        visual = part.visual
-        if visual.kind == "texture":
-            colours = np.tile(
-                np.asarray(visual.material.main_color)[:3].astype(np.uint8), (count, 1)
+def _check_off(content: bytes, path: Path) -> None:
+    """Raise InputError if an OFF file lacks lines that it states, or numbers in a line."""
+    match = _COUNTS.search(content)
+    if match is None:
+        raise InputError(
+            f"{path}: has no counts of vertices and faces after OFF, expected a whole OFF file"
+        )
+    vertices, faces = int(match[1]), int(match[2])
+    rows, first = 0, content.count(b"\n", 0, match.end()) + 1
+    for number, line in enumerate(content[match.end() :].splitlines(), first):
+        words = line.partition(b"#")[0].split()
+        if not words:
+            continue
+        if rows < vertices:
+            _check_place(words, number, path)
+        elif rows < vertices + faces and not (
+            words[0].isdigit() and len(words[0]) < 10 and len(words) > int(words[0])
+        ):
+            raise _wrong_line(
+                words, number, path, "the count of corners of a face and its vertices"
             )
-        else:
-            colours = np.asarray(visual.face_colors)[:, :3].astype(np.uint8)
-        return colours if visual.kind is not None and colours.shape == (count, 3) else None
-    except Exception:
-        return None
+        rows += 1
+    if rows < vertices + faces:
+        nouns = ("vertex" if vertices == 1 else "vertices", "face" if faces == 1 else "faces")
+        raise InputError(
+            f"{path}: ends early: it has {rows:,} lines after its counts, which state "
+            f"{vertices:,} {nouns[0]} and {faces:,} {nouns[1]}, expected a line for each"
+        )
+
+
+def _check_stl(content: bytes, path: Path) -> None:
+    """Raise InputError if an STL file, text or binary, is not whole."""
+    stated = struct.unpack_from("<I", content, 80)[0] if len(content) >= _HEADER else 0
+    body = len(content) - _HEADER
+    if body == stated * _TRIANGLE:
+        return
+    if not (re.match(rb"\s*solid", content) and re.search(rb"\bfacet\b", content, re.IGNORECASE)):
+        raise InputError(
+            f"{path}: has {max(body, 0):,} bytes after its header, expected {_TRIANGLE} for each "
+            f"of the {stated:,} triangles that it states; the file ends early or is no STL file"
+        )
+    counts = dict.fromkeys(("solid", "endsolid", "facet", "endfacet", "vertex"), 0)
+    for number, line in enumerate(content.splitlines(), 1):
+        words = line.split()
+        name = words[0].lower().decode("ascii", "replace") if words else ""
+        counts[name] = counts.get(name, 0) + 1
+        if name == "vertex":
+            _check_place(words[1:], number, path)
+    for name in ("facet", "solid"):
+        begun, ended = counts[name], counts[f"end{name}"]
+        if begun != ended:
+            raise InputError(
+                f"{path}: ends early: it has {begun:,} lines with {name} and {ended:,} with "
+                f"end{name}, expected the same; export it again"
+            )
+    if counts["vertex"] != 3 * counts["facet"]:
+        raise InputError(
+            f"{path}: has {counts['vertex']:,} vertices in {counts['facet']:,} facets, expected 3 "
+            "in each; export it again"
+        )
+
+
+def _check_place(words: list[bytes], number: int, path: Path) -> None:
+    """Raise InputError unless a line begins with x, y and z."""
+    try:
+        if len([float(word) for word in words[:3]]) < 3:
+            raise ValueError
+    except ValueError:
+        raise _wrong_line(words, number, path, "x, y and z") from None
+
+
+def _wrong_line(words: list[bytes], number: int, path: Path, expected: str) -> InputError:
+    text = shown(b" ".join(words).decode("ascii", "backslashreplace"))
+    return InputError(f"{path}: line {number} has {text}, expected {expected}")
 
 
 def new_mesh(suffix: str, points: Array, faces: Indices) -> bytes:

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
+import numpy as np
+
+from ..errors import InputError
 from ..geometry.arrays import Array, Bits, Indices
-from .paint import Paint
+from .output import reason
+from .paint import Paint, Pictures
+
+SUFFIXES = (".ply", ".glb", ".gltf", ".obj")
 
 
 class MovableFile(ABC):
@@ -43,12 +50,24 @@ class MovableFile(ABC):
         """Red, green and blue [N, 3] in [0, 1], or None."""
         return None
 
-    def read_paint(self) -> Paint | None:
-        """The colours of the surface of a mesh; None if they say nothing, as if all are one.
+    def read_paint(self, pictures: Pictures) -> Paint | None:
+        """The colours of the surface of a mesh; None if its materials say nothing of them.
 
-        Raises any error if a file is damaged or missing.
+        Where a picture is missing the colour of the material is left. Raises any error if the file
+        is damaged.
         """
         return None
+
+    def paint(self, pictures: Pictures) -> Paint | None:
+        """As `read_paint`; what is damaged is a line of ``pictures.missing``, as is a file."""
+        # Pictures only decorate: whatever is wrong with them must not stop the work.
+        try:
+            with np.errstate(all="ignore"):
+                return self.read_paint(pictures)
+        except Exception as error:
+            known = isinstance(error, InputError)
+            pictures.missing.append(reason(error) if known else f"damaged ({reason(error)})")
+            return None
 
     def read_faint(self) -> Bits | None:
         """[N], points that cannot be seen, or None."""
@@ -78,6 +97,26 @@ class MovableFile(ABC):
 
     def require_movable(self) -> None:  # noqa: B027
         """Raise InputError if the file cannot be written with other points."""
+
+
+def read_movable(data: bytes, path: Path, bytes_per_point: int = 0) -> MovableFile:
+    """The file ``path``, whose suffix is one of `SUFFIXES` and whose bytes are ``data``.
+
+    Raises InputError if it is damaged, or if there is no memory for ``bytes_per_point`` bytes for
+    each point of a .ply file.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        from .ply import PlyFile
+
+        return PlyFile(data, path, bytes_per_point)
+    if suffix == ".obj":
+        from .obj import ObjFile
+
+        return ObjFile(data, path)
+    from .gltf import GltfFile
+
+    return GltfFile(data, path)
 
 
 def in_words(names: Iterable[str]) -> str:

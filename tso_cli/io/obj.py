@@ -18,11 +18,10 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.normals import rigid_turn, turned_normals
 from .movable import MovableFile
-from .paint import Paint, refuse
+from .paint import Paint, Pictures
 from .ply_body import spliced
 from .reading import plain, require_memory
 from .similarity import Similarity, similarity_of
-from .textures import Folder
 
 # The end of a line on old Macs. A line feed in its place keeps every byte where it is.
 _LONE_RETURN = re.compile(rb"\r(?!\n)")
@@ -188,15 +187,14 @@ class ObjFile(MovableFile):
             )
         return colours
 
-    def read_paint(self) -> Paint | None:
+    def read_paint(self, pictures: Pictures) -> Paint | None:
         """map_Kd of the materials, or Kd; None if there is no picture and vertices have colours."""
         from . import obj_paint
 
-        folder = Folder(self.path, None, refuse)
         libraries, count = self.files_named(self._lines), len(self._triangles)
-        paint = obj_paint.read_paint(simplified(self.data), libraries, folder, count)
+        paint = obj_paint.read_paint(simplified(self.data), libraries, pictures, count)
         coloured = self._colour_spans is not None
-        return None if coloured and paint is not None and not paint.textures else paint
+        return paint if paint.textures or not coloured else None
 
     def read_normals(self) -> Array | None:
         """The normal of each vertex [V, 3]; None unless every vertex has exactly one."""

@@ -9,8 +9,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array
-from .paint import Decoder, Paint
-from .textures import Folder, Texture
+from .paint import Paint, Pictures, Texture
 
 
 @dataclass
@@ -19,14 +18,15 @@ class _Material:
     picture: str = ""  # the name of the file
 
 
-def read_paint(text: bytes, libraries: Iterable[str], folder: Folder, count: int) -> Paint | None:
+def read_paint(text: bytes, libraries: Iterable[str], pictures: Pictures, count: int) -> Paint:
     """The paint of the ``count`` triangles of a ``text``, which is `simplified`.
 
-    ``libraries`` name the .mtl files. Errors of any kind say that a file is damaged or missing.
+    ``libraries`` name the .mtl files. Errors of any kind say that a file is damaged.
     """
     materials = {b"": _Material()}
     for library in libraries:
-        materials |= _materials(folder.get(library))
+        if (path := pictures.file(library, "material file")) is not None:
+            materials |= _materials(path.read_bytes())
     places, corners, used, current = [[0.0, 0.0]], [], [], b""
     for line in text.split(b"\n"):
         key, _, rest = line.strip().replace(b"\t", b" ").partition(b" ")
@@ -44,35 +44,37 @@ def read_paint(text: bytes, libraries: Iterable[str], folder: Folder, count: int
     if len(used) != count:
         raise InputError(f"{len(used)} triangles have a material, expected {count}")
     of_corners, of_faces = np.array(corners).reshape(-1, 3), np.array(used, dtype=object)
-    known = {name: materials.get(name, _Material()) for name in dict.fromkeys(used)}
-    colours = np.array([known[name].colour for name in used]).reshape(-1, 1, 3)
-    textures, decode = [], Decoder()
-    for name, material in known.items():
+    of_used = {name: materials.get(name, _Material()) for name in dict.fromkeys(used)}
+    colours = np.array([of_used[name].colour for name in used]).reshape(-1, 1, 3)
+    textures = []
+    for name, material in of_used.items():
         faces = np.flatnonzero((of_faces == name) & (of_corners > 0).all(1))
-        if material.picture and len(faces):
-            pixels = decode(folder.get(material.picture), material.picture)
+        pixels = pictures.of_file(material.picture) if material.picture else None
+        if pixels is not None and len(faces) == 0:
+            pictures.miss(material.picture, "has no coordinates on the mesh")
+        elif pixels is not None:
             colours[faces] = 1.0
             textures.append(Texture(pixels, faces, _at(places, of_corners[faces])))
-    return Paint.of([np.repeat(colours, 3, axis=1)], textures)
+    return Paint.of_parts([np.repeat(colours, 3, axis=1)], textures)
 
 
 def _at(places: list[list[float]], corners: Array) -> Array:
-    found: Array = np.array(places)[corners]
-    if not np.isfinite(found).all():
+    coordinates: Array = np.array(places)[corners]
+    if not np.isfinite(coordinates).all():
         raise InputError("texture coordinates are not finite")
-    return found
+    return coordinates
 
 
 def _materials(text: bytes) -> dict[bytes, _Material]:
     """The materials of a .mtl file by their names."""
-    found: dict[bytes, _Material] = {}
+    materials: dict[bytes, _Material] = {}
     current = _Material()
     for line in text.replace(b"\r", b"\n").replace(b"\t", b" ").split(b"\n"):
         key, _, rest = line.strip().partition(b" ")
         if key.lower() == b"newmtl":
-            current = found[rest.strip()] = _Material()
+            current = materials[rest.strip()] = _Material()
         elif key.lower() == b"kd":
             current.colour = tuple(float(word) for word in rest.split()[:3])
         elif key.lower() == b"map_kd":
             current.picture = rest.strip().decode("utf-8", "replace")
-    return found
+    return materials

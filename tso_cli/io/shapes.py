@@ -27,11 +27,12 @@ from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import sample_surface
 from .clouds import SUFFIXES as CLOUD_SUFFIXES
 from .clouds import colmap_points, read_cloud
+from .meshes import SUFFIXES as mesh_suffixes
 from .meshes import read_mesh
 from .ply_header import HEADER_LIMIT
 from .reading import read_array, read_bytes, require_memory, shown
 
-MESH_SUFFIXES = (".obj", ".off", ".stl", ".glb", ".gltf")
+MESH_SUFFIXES = tuple(suffix for suffix in mesh_suffixes if suffix != ".ply")
 SUFFIXES = (*dict.fromkeys((*CLOUD_SUFFIXES, *MESH_SUFFIXES)), ".binvox")
 
 FEWEST_POINTS = 64  # of each cloud of a batch; shorter sides are those of a grid
@@ -88,15 +89,8 @@ def read_shape(
     if kind == "cloud" or (as_vertices and path.suffix.lower() == ".ply"):
         return read_cloud(path, extended=False).points
     if kind == "mesh":
-        if path.suffix.lower() == ".gltf":  # `read_mesh` reads files that stand alone
-            cloud = read_cloud(path, extended=False)
-            found = cloud.faces()
-            if found is None:
-                raise InputError(f"{path}: has no faces, expected a mesh")
-            vertices, faces = cloud.points, found
-        else:
-            mesh = read_mesh(path, textures=False)
-            vertices, faces = mesh.vertices, mesh.faces
+        mesh = read_mesh(path, textures=False)
+        vertices, faces = mesh.vertices, mesh.faces
         if as_vertices:
             return vertices
     else:

@@ -10,13 +10,14 @@ import numpy as np
 from ..errors import TsoError
 from ..geometry.arrays import Array, Pixels
 from ..geometry.camera import Camera
-from ..io.meshes import GREY, Mesh
+from ..io.meshes import Mesh
 from ..signals import waiting_signals
 
 # Rays across one pixel, 25 in all. An odd number has no ties at half coverage, which would shift
 # outlines.
 RAYS_ACROSS = 5
 RAYS_AT_ONCE = 1 << 21  # bounds the memory to some hundred megabytes
+GREY = (170, 170, 170)  # the colour of a mesh without paint
 # Brightness of a face that is parallel to the light; a face toward the light has brightness 1.
 AMBIENT = 0.3
 
@@ -53,11 +54,6 @@ class RayScene:
         self.mesh = mesh
         self._scene = self._o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32))
-        # The texture of each face, -1 for none, and the index of the face in its texture.
-        self._texture, self._row = np.full((2, len(mesh.faces)), -1)
-        for number, texture in enumerate(mesh.textures):
-            self._texture[texture.faces] = number
-            self._row[texture.faces] = np.arange(len(texture.faces))
 
     def cast(self, camera: Camera, columns: Array, rows: Array) -> dict[str, Any]:
         """First hits of the rays through pixel coordinates ``columns`` [C] x ``rows`` [R].
@@ -111,18 +107,12 @@ class RayScene:
         It is arbitrary where nothing is hit.
         """
         face = np.where(hits["hit"], hits["face"], 0)
-        colours = (
-            np.full((*face.shape, 3), GREY, np.uint8)
-            if self.mesh.colours is None
-            else self.mesh.colours[face]
-        )
-        texture = np.where(hits["hit"], self._texture[face], -1)
-        for number in np.unique(texture[texture >= 0]):
-            textured = texture == number
-            colours[textured] = self.mesh.textures[number].at(
-                self._row[face[textured]], hits["barycentric"][textured]
-            )
-        return colours
+        if self.mesh.paint is None:
+            return np.full((*face.shape, 3), GREY, np.uint8)
+        others = hits["barycentric"].reshape(-1, 2).astype(np.float64)
+        shares = np.column_stack([1.0 - others.sum(1), others])
+        colours = self.mesh.paint.at(face.ravel().astype(np.int64), shares)
+        return np.rint(255.0 * colours).astype(np.uint8).reshape(*face.shape, 3)
 
 
 def render_view(
@@ -152,7 +142,7 @@ def render_view(
         shape = (stop - start, RAYS_ACROSS, right - left, RAYS_ACROSS)
         hit = hits["hit"]
         shade = AMBIENT + (1.0 - AMBIENT) * np.abs(hits["normal"] @ light.astype(np.float32))
-        if scene.mesh.colours is None and not scene.mesh.textures:
+        if scene.mesh.paint is None:
             colour = np.where(hit, shade * GREY[0], 255.0)[..., None]
         else:
             colour = np.where(hit[..., None], shade[..., None] * scene.colours(hits), 255.0)

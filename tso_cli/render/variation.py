@@ -9,6 +9,7 @@ import numpy as np
 
 from ..geometry.arrays import Indices
 from ..io.meshes import Mesh
+from ..io.paint import Paint
 from ..signals import waiting_signals
 
 # Largest logarithm of the factor by which an axis is stretched. The other deformations scale with
@@ -45,7 +46,8 @@ def paint(mesh: Mesh, rng: np.random.Generator) -> Mesh:
     brightness = rng.uniform(20.0, 245.0, (size, 1))
     colours = brightness + rng.normal(0.0, 35.0, (size, 3)) * rng.random()
     palette = np.clip(np.rint(colours), 0, 255).astype(np.uint8)
-    return Mesh(mesh.vertices, mesh.faces, palette[rng.integers(size, size=count)][part])
+    of_faces = palette[rng.integers(size, size=count)][part]
+    return replace(mesh, paint=Paint.of_faces(of_faces))
 
 
 def connected_parts(faces: Indices, vertices: int) -> Indices:

@@ -79,7 +79,7 @@ def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
     faces = truth.mesh.faces[~gone]
     if len(faces) < FEWEST_FACES:
         return None
-    mesh = replace(truth.mesh, faces=faces, colours=None)
+    mesh = replace(truth.mesh, faces=faces, paint=None)
     scene = RayScene(mesh)
     views = tuple(
         replace(view, mask=render_view(scene, view.camera).mask.astype(np.float32) / 255.0)

@@ -5,19 +5,16 @@ Coordinates are centred on the start, and its longest side is 1.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
-from ...errors import InputError
 from ...geometry.arrays import Array, Indices, Pixels
 from ...geometry.points import bounding_box_normalisation, scattered
 from ...io.clouds import PointCloud
-from ...io.meshes import GREY, Mesh, read_mesh
-from ...io.textures import Texture, Tint
+from ...io.paint import Paint, Pictures
 from ...refinement import RefineResult
 from ...scene.load import Scene
 from .packing import packed, picture_uri, text_of
@@ -27,10 +24,6 @@ MOST_POINTS = 60_000
 MOST_FACES, MOST_VERTICES = 40_000, 45_000
 # Points further from the middle than this many longest sides are left out.
 FARTHEST = 2.5
-# Formats whose pictures and colours `read_mesh` knows better than the file of points.
-WITH_TEXTURES = (".glb", ".obj")
-# How near the vertices of both readers are, in longest sides.
-SAME = 1e-4
 # Pixels along the longer side of a texture, and characters that all of them take at most.
 TEXTURE_SIDES, MOST_TEXTURE = (1024, 512, 256, 128), 1_100_000
 # Cells along each side in which the vertices of a large mesh are joined.
@@ -46,7 +39,6 @@ class Surface:
     faces: Indices
     face_colours: Pixels | None = None
     vertex_colours: Pixels | None = None
-    textures: tuple[Texture, ...] = ()
     of_face: Indices | None = None
     corners: Array | None = None  # [F, 3, 2] texture coordinates
 
@@ -58,7 +50,7 @@ def solid_of(result: RefineResult, scene: Scene) -> dict[str, Any]:
     start, moved = ((points - centre) / size for points in (result.initial, result.points))
     solid: dict[str, Any]
     if result.of_mesh and scene.file is not None:
-        solid = _mesh(scene.file, start, moved, centre, size, notes)
+        solid = _mesh(scene.file, start, moved, notes)
     else:
         solid = _points(result, scene.file, start, moved, notes)
     return {**solid, "notes": notes, "cameras": _cameras(result, centre, size)}
@@ -105,16 +97,18 @@ def _bytes(colours: Array) -> Pixels:
     return np.rint(np.clip(colours, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def _mesh(
-    file: PointCloud, start: Array, moved: Array, centre: Array, size: float, notes: list[str]
-) -> dict[str, Any]:
+def _mesh(file: PointCloud, start: Array, moved: Array, notes: list[str]) -> dict[str, Any]:
     faces = file.faces()
     assert faces is not None
-    surface = _textured(file, start, moved, centre, size, notes)
-    if surface is None:
-        colours = file.source.read_colours() if file.source else None
-        of_vertex = None if colours is None else _bytes(colours)
-        surface = Surface(start, moved, faces, vertex_colours=of_vertex)
+    pictures = Pictures(file.path)
+    paint = file.source.paint(pictures) if file.source else None
+    notes += [f"A texture is not drawn: {line}." for line in pictures.missing]
+    surface = Surface(start, moved, faces)
+    if paint is None:
+        colours = file.colours()
+        surface.vertex_colours = None if colours is None else _bytes(colours)
+    else:
+        _put_on(surface, paint)
     every = len(surface.faces)
     surface = _simplified(surface)
     if len(surface.faces) < every:
@@ -143,49 +137,20 @@ def _mesh(
         "wide": kind == "<u4",
         "groups": groups or [{"texture": -1, "first": 0, "count": len(surface.faces)}],
         "uv": uv,
-        "textures": _texture_uris(surface.textures),
+        "textures": [] if paint is None else _texture_uris(paint),
         **{name: None if c is None else text_of(c) for name, c in colours_of.items()},
     }
 
 
-def _textured(
-    file: PointCloud, start: Array, moved: Array, centre: Array, size: float, notes: list[str]
-) -> Surface | None:
-    """The mesh with its pictures; None if the file has none, or they belong to other vertices."""
-    if file.path.suffix.lower() not in WITH_TEXTURES:
-        return None
-    from scipy.spatial import cKDTree
-
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            mesh: Mesh = read_mesh(file.path)
-    except InputError as error:
-        notes.append(f"The mesh is drawn without textures: {error}.")
-        return None
-    notes += [f"{warning.message}." for warning in caught]
-    vertices = (mesh.vertices - centre) / size
-    # The reader of pictures splits and orders vertices in its own way.
-    distance, nearest = cKDTree(start).query(vertices)
-    if distance.max() > SAME:
-        return None
-    of_face, corners = None, None
-    if mesh.textures:
-        of_face = np.full(len(mesh.faces), -1)
-        corners = np.zeros((len(mesh.faces), 3, 2))
-        for number, texture in enumerate(mesh.textures):
-            of_face[texture.faces] = number
-            corners[texture.faces] = texture.corners
-    grey = mesh.colours is not None and (mesh.colours == GREY).all()
-    return Surface(
-        vertices,
-        vertices + (moved - start)[nearest],
-        mesh.faces,
-        face_colours=None if grey else mesh.colours,
-        textures=mesh.textures,
-        of_face=of_face,
-        corners=corners,
-    )
+def _put_on(surface: Surface, paint: Paint) -> None:
+    """Give the surface the textures and the colours of a paint."""
+    if paint.textures:
+        surface.of_face = paint.texture_of_face
+        surface.corners = np.zeros((len(surface.faces), 3, 2))
+        for texture in paint.textures:
+            surface.corners[texture.faces] = texture.corners
+    if not (paint.corners == 1.0).all():
+        surface.face_colours = _bytes(paint.corners.mean(1))
 
 
 def _simplified(surface: Surface) -> Surface:
@@ -216,26 +181,26 @@ def _simplified(surface: Surface) -> Surface:
         numbered.reshape(-1, 3),
         of_faces(surface.face_colours),
         None if surface.vertex_colours is None else surface.vertex_colours[first],
-        surface.textures,
         of_faces(surface.of_face),
         of_faces(surface.corners),
     )
 
 
-def _texture_uris(textures: tuple[Texture, ...]) -> list[str]:
+def _texture_uris(paint: Paint) -> list[str]:
+    """The pictures of a paint as the mesh shows them: times the mean colour of their faces."""
     uris: list[str] = []
+    tints = [tuple(_bytes(paint.corners[t.faces].mean((0, 1))).tolist()) for t in paint.textures]
     # Parts of a mesh may share a picture.
-    looks = [(id(texture.pixels), texture.tint) for texture in textures]
-    known: dict[tuple[int, Tint | None], str] = {}
+    looks = [(id(t.pixels), tint) for t, tint in zip(paint.textures, tints, strict=True)]
     for side in TEXTURE_SIDES:
-        known.clear()
-        for look, texture in zip(looks, textures, strict=True):
-            if look not in known:
+        uri_of: dict[Any, str] = {}
+        for look, texture in zip(looks, paint.textures, strict=True):
+            if look not in uri_of:
                 image = Image.fromarray(texture.pixels)
                 image.thumbnail((side, side), Image.Resampling.BOX)
-                image = Image.fromarray(texture.tinted(np.asarray(image)))
-                known[look] = picture_uri(image, photo=True)
-        uris = [known[look] for look in looks]
+                tinted = np.rint(np.asarray(image) * (np.array(look[1]) / 255.0))
+                uri_of[look] = picture_uri(Image.fromarray(tinted.astype(np.uint8)), photo=True)
+        uris = [uri_of[look] for look in looks]
         if sum(map(len, uris)) <= MOST_TEXTURE:
             return uris
     return uris
