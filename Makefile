@@ -36,8 +36,8 @@ open3d-libraries: $(VENV)/ready-to-test
 	  echo "make: open3d cannot be imported; on Debian: sudo apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1"; exit 1; }
 
 lint: $(VENV)/ready-to-test
-	@$(BIN)/ruff check --quiet tso_cli tests examples docs
-	@$(BIN)/ruff format --quiet --check tso_cli tests examples docs
+	@$(BIN)/ruff check --quiet tso_cli tso_lab tests examples docs
+	@$(BIN)/ruff format --quiet --check tso_cli tso_lab tests examples docs
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 

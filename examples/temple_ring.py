@@ -29,7 +29,7 @@ from tso_cli.io.cameras import CameraRecord, read_cameras, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.io.images import read_image, write_image
 from tso_cli.io.masks import read_mask
-from tso_cli.lab.studies.fingerprint import today
+from tso_lab.studies.fingerprint import today
 
 Array = NDArray[np.float64]
 

@@ -44,7 +44,7 @@ def test_only_the_command_line_names_options():
     naming = [
         f"{path.relative_to(PACKAGE)}: {text}"
         for path in sorted(PACKAGE.rglob("*.py"))
-        if path.relative_to(PACKAGE).parts[0] not in ("commands", "lab", "cli.py", "examples")
+        if path.relative_to(PACKAGE).parts[0] not in ("commands", "cli.py", "examples")
         for text in _text_of(ast.parse(path.read_text()))
         if re.search(r"(?<![\w-])--[a-z]", text)
     ]

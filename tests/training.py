@@ -7,10 +7,10 @@ import pytest
 
 from tso_cli.datasets.items import ObjectItem, ViewItem
 from tso_cli.geometry.camera import Camera
-from tso_cli.lab.studies import fingerprint
 from tso_cli.network import model as networks
 from tso_cli.render.viewpoints import look_at
 from tso_cli.train.config import TrainConfig
+from tso_lab.studies import fingerprint
 
 
 def make_thin(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 import click
@@ -20,7 +21,6 @@ from .commands.options import CONTEXT, LazyGroup
 from .errors import TsoError, is_interrupt, missing_extra
 from .version import __version__
 
-RESEARCH = "Studies and benchmarks of the method."
 # Heading -> name -> (module, one line of help). The lines stand here so that `tso --help` imports
 # no command.
 SECTIONS = {
@@ -57,11 +57,9 @@ SECTIONS = {
         "doctor": ("tso_cli.commands.doctor", "Say what is installed, and how to get the rest."),
         "demo": ("tso_cli.commands.demo", "Refine the shipped chair, and judge the result."),
     },
-    "Research": {
-        "lab": ("tso_cli.lab.commands", RESEARCH),
-        "bench": ("tso_cli.lab.commands", RESEARCH),
-    },
 }
+if find_spec("tso_lab"):  # in a clone of the repository, not in the wheel
+    SECTIONS["Research"] = {"lab": ("tso_lab.commands", "Studies and benchmarks of the method.")}
 
 
 @click.group(

@@ -24,8 +24,8 @@ from tso_cli.commands.batch.command import command as batch_command
 from tso_cli.commands.batch.items import OF_BATCH, options_of_items, written_by
 from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.lab.bench.scale import conclude, long_batch, processes_of, write_poison
-from tso_cli.lab.study import Progress
+from tso_lab.bench.scale import conclude, long_batch, processes_of, write_poison
+from tso_lab.study import Progress
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = Path(tso_cli.__file__).parent

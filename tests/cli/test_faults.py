@@ -30,8 +30,8 @@ from tso_cli.io.output import atomic_output, sole_writer
 from tso_cli.io.ply_body import BinaryBody
 from tso_cli.io.reading import TextTable
 from tso_cli.io.shipped import examples_folder
-from tso_cli.lab.study import Progress
 from tso_cli.optimisation.objective import SilhouetteObjective
+from tso_lab.study import Progress
 
 ROOT = Path(__file__).parents[2]
 NAMES = ("out.ply", "out.png", "out.json")
@@ -287,7 +287,7 @@ def test_a_record_that_cannot_be_gone_on_from_is_named(tso, tmp_path):
             }
         )
     )
-    words = ("bench", "harm", "--quick", "--resume", "-o", path)
+    words = ("lab", "harm", "--quick", "--resume", "-o", path)
     assert f"{path}: the record to go on from has " in tso(*words).refusal
 
 
@@ -306,7 +306,7 @@ def test_a_record_that_another_process_writes_is_refused_until_that_ends_or_is_k
     other = started(path, program=HOLD, stdin=subprocess.PIPE)
     other.stdout.readline()
     for words in (("speed",), ("speed", "--overwrite"), ("harm", "--quick", "--resume")):
-        assert f"{path}: another process is writing it" in tso("bench", *words, "-o", path).refusal
+        assert f"{path}: another process is writing it" in tso("lab", *words, "-o", path).refusal
     other.kill()
     other.wait()  # what it forked lives on
     with sole_writer(path):

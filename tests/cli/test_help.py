@@ -1,11 +1,15 @@
 """The help of every command: complete, short, true, and the same with every version of click."""
 
 import re
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
 import click
 import pytest
 
+import tso_cli
 from tso_cli.cli import SECTIONS, with_options
 from tso_cli.cli import tso as root
 from tso_cli.commands.options import Warnings, listing
@@ -43,20 +47,36 @@ def test_a_group_without_a_command_prints_its_help_on_lines_and_exits_with_2(tso
 
 
 def test_studies_and_benchmarks_are_one_line_at_the_end_of_the_help(tso):
-    *others, heading, last = tso("--help").out.splitlines()
+    *_, heading, last = tso("--help").out.splitlines()
     assert heading == "Research:"
-    assert re.fullmatch(r"  lab, bench +Studies and benchmarks of the method\.", last)
-    for name in RESEARCH:
-        assert not any(re.match(rf"  {name}\b", line) for line in others)
+    assert re.fullmatch(r"  lab +Studies and benchmarks of the method\.", last)
 
 
-def test_every_other_command_has_its_line_in_the_help(tso):
+WITHOUT_LAB = """
+import sys
+from pathlib import Path
+sys.path = [*(place for place in sys.path if not Path(place, "tso_lab").exists()), sys.argv[1]]
+from tso_cli.cli import main
+main(sys.argv[2:])
+"""
+
+
+def test_the_laboratory_is_no_command_where_only_the_product_is_installed(tmp_path):
+    (tmp_path / "tso_cli").symlink_to(Path(tso_cli.__file__).parent)
+
+    def run(*words):
+        line = [sys.executable, "-c", WITHOUT_LAB, tmp_path, *words]
+        return subprocess.run(line, cwd=tmp_path, capture_output=True, text=True)
+
+    assert "Research" not in run("--help").stdout
+    assert "No such command 'lab'" in run("lab").stderr
+
+
+def test_every_command_has_its_line_in_the_help(tso):
     lines = tso("--help").out.splitlines()
     for section in SECTIONS.values():
         for name, (_, text) in section.items():
-            assert name in RESEARCH or any(
-                re.fullmatch(rf"  {name} +{re.escape(text)}", line) for line in lines
-            )
+            assert any(re.fullmatch(rf"  {name} +{re.escape(text)}", line) for line in lines)
 
 
 def test_every_command_has_help_all_which_shows_every_option(tso):

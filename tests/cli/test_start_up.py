@@ -78,7 +78,7 @@ def test_version_and_help_import_no_numbers(tmp_path):
 
 
 def test_the_help_of_a_command_imports_no_torch(tmp_path):
-    commands = ("refine", "eval", "train", "curves", "export", "render", "bench", "lab")
+    commands = ("refine", "eval", "train", "curves", "export", "render", "lab")
     assert not _imported(tmp_path, *(f"{command} --help" for command in commands)) & set(HEAVY)
 
 

@@ -26,7 +26,7 @@ from tests.readme import (
     working_copy,
 )
 from tso_cli import cli
-from tso_cli.lab.studies.fingerprint import differences
+from tso_lab.studies.fingerprint import differences
 
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?")
 RECORD_NAMES = sorted(path.stem for path in RECORDS.glob("*.json"))

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from tso_cli.io.checkpoints import save_network
-from tso_cli.lab.studies.material import Material
 from tso_cli.network import model as networks
 from tso_cli.network.model import NetworkConfig, build_network
+from tso_lab.studies.material import Material
 
 from ..training import make_thin
 

@@ -10,15 +10,15 @@ import pytest
 
 from tso_cli.errors import InputError
 from tso_cli.io.shipped import examples_folder
-from tso_cli.lab.harm.scenes import gallery
-from tso_cli.lab.studies import accuracy
-from tso_cli.lab.studies.accuracy import conclude
-from tso_cli.lab.studies.refining import ABLATION, COMBINED, POINTS, with_prior
-from tso_cli.lab.studies.shapes import prior_hash
 from tso_cli.prior.file import write_prior
 from tso_cli.prior.network import initial
 from tso_cli.refinement import refine
 from tso_cli.scene.load import load_points_scene
+from tso_lab.harm.scenes import gallery
+from tso_lab.studies import accuracy
+from tso_lab.studies.accuracy import conclude
+from tso_lab.studies.refining import ABLATION, COMBINED, POINTS, with_prior
+from tso_lab.studies.shapes import prior_hash
 
 
 def test_a_case_of_a_kind_in_no_list_starts_as_the_warped_truth(tmp_path):

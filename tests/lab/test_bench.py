@@ -15,12 +15,12 @@ import torch
 from PIL import Image
 
 from tso_cli.errors import TsoError
-from tso_cli.lab.bench import kernels, refining, speed, timing
-from tso_cli.lab.bench.timing import Contestant, Setting, record, timed
-from tso_cli.lab.commands import tools
-from tso_cli.lab.study import Plan
 from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
+from tso_lab.bench import kernels, refining, speed, timing
+from tso_lab.bench.timing import Contestant, Setting, record, timed
+from tso_lab.commands import tools
+from tso_lab.study import Plan
 
 from ..training import make_known
 
@@ -237,7 +237,7 @@ def test_an_installation_is_smaller_without_the_packages_of_networks():
 
 
 def test_the_process_whose_memory_is_measured_imports_no_torch():
-    program = "import sys, tso_cli.lab.bench.refining; sys.exit('torch' in sys.modules)"
+    program = "import sys, tso_lab.bench.refining; sys.exit('torch' in sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 

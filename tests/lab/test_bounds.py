@@ -7,9 +7,9 @@ import pytest
 
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.view import View
-from tso_cli.lab.studies.bounds import across_the_view
-from tso_cli.lab.studies.cases import Case
 from tso_cli.render.viewpoints import look_at
+from tso_lab.studies.bounds import across_the_view
+from tso_lab.studies.cases import Case
 
 from .studying import rng
 

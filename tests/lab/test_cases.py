@@ -13,12 +13,12 @@ from tso_cli.errors import InputError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.checkpoints import load_network
 from tso_cli.io.meshes import read_mesh
-from tso_cli.lab.studies.cases import LEVELS, MASKS, CaseBuilder
-from tso_cli.lab.studies.shapes import shapes_of_part
 from tso_cli.render.folder import ground_truth
 from tso_cli.render.normalise import normalise
 from tso_cli.render.settings import RenderSettings
 from tso_cli.render.viewpoints import fitting_distance
+from tso_lab.studies.cases import LEVELS, MASKS, CaseBuilder
+from tso_lab.studies.shapes import shapes_of_part
 
 from .studying import MESHES, TRAIN, thin_checkpoint
 

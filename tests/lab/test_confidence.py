@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tso_cli.errors import InputError
-from tso_cli.lab.harm.runs import altered
-from tso_cli.lab.harm.scenes import gallery
-from tso_cli.lab.harm.troubles import TROUBLE
-from tso_cli.lab.studies import confidence
-from tso_cli.lab.study import Progress
+from tso_lab.harm.runs import altered
+from tso_lab.harm.scenes import gallery
+from tso_lab.harm.troubles import TROUBLE
+from tso_lab.studies import confidence
+from tso_lab.study import Progress
 
 from .studying import MESHES
 

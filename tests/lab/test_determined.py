@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tso_cli.lab.studies import determined
-from tso_cli.lab.studies.cases import MASKS, CaseBuilder
-from tso_cli.lab.studies.shapes import shapes_of_part
+from tso_lab.studies import determined
+from tso_lab.studies.cases import MASKS, CaseBuilder
+from tso_lab.studies.shapes import shapes_of_part
 
 from .studying import MESHES, VALIDATION
 

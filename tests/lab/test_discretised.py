@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from tso_cli.lab.studies.discretised import (
+from tso_cli.train.batches import Batch, Drawing, draw_batch
+from tso_cli.train.data import TrainingData
+from tso_cli.train.loop import start, train
+from tso_cli.train.losses import mask_loss
+from tso_lab.studies.discretised import (
     DEPTH,
     PLAIN,
     depth_loss,
@@ -14,10 +18,6 @@ from tso_cli.lab.studies.discretised import (
     projected_objective,
     silhouette_sums,
 )
-from tso_cli.train.batches import Batch, Drawing, draw_batch
-from tso_cli.train.data import TrainingData
-from tso_cli.train.loop import start, train
-from tso_cli.train.losses import mask_loss
 
 from ..training import config, make_objects, make_thin
 

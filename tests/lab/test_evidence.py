@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tso_cli.lab.studies.cases import CaseBuilder
-from tso_cli.lab.studies.evidence import (
+from tso_cli.optimisation.symmetry import find_mirror_plane
+from tso_cli.refinement import RefineConfig
+from tso_lab.studies.cases import CaseBuilder
+from tso_lab.studies.evidence import (
     PLANES,
     Question,
     conclude,
@@ -14,17 +16,15 @@ from tso_cli.lab.studies.evidence import (
     refine_rows,
     tables,
 )
-from tso_cli.lab.studies.evidence_alterations import (
+from tso_lab.studies.evidence_alterations import (
     Truth,
     unaltered,
     with_depth,
     without,
 )
-from tso_cli.lab.studies.evidence_maps import MAPS, with_fov, with_map
-from tso_cli.lab.studies.refining import Variant
-from tso_cli.lab.studies.shapes import shapes_of_part
-from tso_cli.optimisation.symmetry import find_mirror_plane
-from tso_cli.refinement import RefineConfig
+from tso_lab.studies.evidence_maps import MAPS, with_fov, with_map
+from tso_lab.studies.refining import Variant
+from tso_lab.studies.shapes import shapes_of_part
 
 from .studying import MESHES, VALIDATION, rng
 

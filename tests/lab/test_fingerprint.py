@@ -12,15 +12,15 @@ import pytest
 from tso_cli.errors import InputError
 from tso_cli.evaluation import footprint
 from tso_cli.kernels import nearest, splat
-from tso_cli.lab.commands.records import earlier_record, write_record
-from tso_cli.lab.studies import fingerprint
-from tso_cli.lab.studies.fingerprint import PARTS, differences, today
 from tso_cli.optimisation import learned_start, presets
 from tso_cli.pose import search
 from tso_cli.render import rays
 from tso_cli.silhouette import affinity
 from tso_cli.train import losses
 from tso_cli.train.prior import loss as prior_loss
+from tso_lab.commands.records import earlier_record, write_record
+from tso_lab.studies import fingerprint
+from tso_lab.studies.fingerprint import PARTS, differences, today
 
 
 def of_today(*parts: str) -> dict:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.lab.studies.material import mean_shape
-from tso_cli.lab.studies.network import TURNS, aligned_mean, nearest_of
+from tso_lab.studies.material import mean_shape
+from tso_lab.studies.network import TURNS, aligned_mean, nearest_of
 
 
 def cloud(seed: int, stretch: tuple[float, float, float] = (1.0, 0.6, 0.3)) -> np.ndarray:

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tso_cli.lab.bench.pareto import conclude, front
-from tso_cli.lab.bench.pareto_chart import lines
-from tso_cli.lab.bench.peers import PEERS
-from tso_cli.lab.bench.ways import DEFAULT, PAPER, WAYS
-from tso_cli.lab.studies.refining import PAPER as PAPER_PRESET
-from tso_cli.lab.studies.refining import POINTS
 from tso_cli.refinement import refine
+from tso_lab.bench.pareto import conclude, front
+from tso_lab.bench.pareto_chart import lines
+from tso_lab.bench.peers import PEERS
+from tso_lab.bench.ways import DEFAULT, PAPER, WAYS
+from tso_lab.studies.refining import PAPER as PAPER_PRESET
+from tso_lab.studies.refining import POINTS
 
 from .studying import holding
 

@@ -9,10 +9,10 @@ import pytest
 
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.geometry.view import View
-from tso_cli.lab.studies import pose
-from tso_cli.lab.studies.cases import Case
 from tso_cli.pose.fit import Alternative, FittedCamera
 from tso_cli.render.viewpoints import look_at
+from tso_lab.studies import pose
+from tso_lab.studies.cases import Case
 
 
 def test_the_first_answer_counts_and_so_does_the_nearest_of_all():

@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from tso_cli.io.shipped import examples_folder
-from tso_cli.lab.studies import priors
-from tso_cli.lab.studies.priors import SHIPPED, STUDY, WHOLE, conclude, draw_chart, tables
 from tso_cli.prior.network import TROUBLES, initial
 from tso_cli.train.prior.bank import build_bank
 from tso_cli.train.prior.shapes import read_shapes
+from tso_lab.studies import priors
+from tso_lab.studies.priors import SHIPPED, STUDY, WHOLE, conclude, draw_chart, tables
 
 
 def cases():

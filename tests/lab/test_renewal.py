@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
-from tso_cli.lab.commands import records, renewal, tools
-from tso_cli.lab.commands.renewal import KEPT, Due, Kept, make, needs
+from tso_lab.commands import records, renewal, tools
+from tso_lab.commands.renewal import KEPT, Due, Kept, make, needs
 
 from ..readme import RECORDS
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tso_cli.errors import InputError
-from tso_cli.lab.studies.shapes import see, shapes_of_part, view_aligned_network
 from tso_cli.render.settings import RenderSettings
+from tso_lab.studies.shapes import see, shapes_of_part, view_aligned_network
 
 from .studying import MESHES, thin_checkpoint, write_split
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tso_cli.lab.studies.shapes import Shape, see
-from tso_cli.lab.studies.sigma import SIGMAS, conclude, mask_errors
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.render.settings import RenderSettings
+from tso_lab.studies.shapes import Shape, see
+from tso_lab.studies.sigma import SIGMAS, conclude, mask_errors
 
 from .studying import MESHES, holding
 

@@ -12,15 +12,15 @@ import pytest
 from PIL import Image
 
 from tso_cli.errors import InputError
-from tso_cli.lab import options
-from tso_cli.lab.bench.peers import PEERS
-from tso_cli.lab.bench.ways import DEFAULT, PAPER, WAYS
-from tso_cli.lab.commands import tools
-from tso_cli.lab.harm.troubles import TROUBLE
-from tso_cli.lab.options import option
-from tso_cli.lab.studies import evidence, fingerprint, pose, refining
-from tso_cli.lab.study import Plan, Progress, Study, Table, claim, page
 from tso_cli.refinement import RefineConfig
+from tso_lab import options
+from tso_lab.bench.peers import PEERS
+from tso_lab.bench.ways import DEFAULT, PAPER, WAYS
+from tso_lab.commands import tools
+from tso_lab.harm.troubles import TROUBLE
+from tso_lab.options import option
+from tso_lab.studies import evidence, fingerprint, pose, refining
+from tso_lab.study import Plan, Progress, Study, Table, claim, page
 
 from ..readme import RECORDS
 from ..training import make_known

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.lab.studies import affinity, failures, supervision
-from tso_cli.lab.studies.material import (
+from tso_cli.render.viewpoints import look_at
+from tso_lab.studies import affinity, failures, supervision
+from tso_lab.studies.material import (
     ALL,
     DENSE,
     MEAN_SHAPE,
@@ -20,9 +21,8 @@ from tso_cli.lab.studies.material import (
     constant_answer,
     distances,
 )
-from tso_cli.lab.studies.trained import Comparison, Setting, masks
-from tso_cli.lab.study import Progress
-from tso_cli.render.viewpoints import look_at
+from tso_lab.studies.trained import Comparison, Setting, masks
+from tso_lab.study import Progress
 
 from ..training import box_surface
 from .studying import MESHES, SMALL, holding, rng, timeless

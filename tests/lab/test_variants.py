@@ -10,13 +10,13 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import normalise_longest_side, sample_surface
 from tso_cli.geometry.view import View
 from tso_cli.io.meshes import Mesh
-from tso_cli.lab.studies.shapes import Shape, see, view_aligned_network
-from tso_cli.lab.studies.variants import VARIANTS, conclude, distances, refine_view, visible_points
 from tso_cli.refinement import RefineConfig
 from tso_cli.render.rays import RayScene
 from tso_cli.render.settings import RenderSettings
 from tso_cli.render.viewpoints import look_at
 from tso_cli.scene.network import network_scene
+from tso_lab.studies.shapes import Shape, see, view_aligned_network
+from tso_lab.studies.variants import VARIANTS, conclude, distances, refine_view, visible_points
 
 from .studying import MESHES, holding, thin_checkpoint
 

@@ -68,7 +68,7 @@ class LazyGroup(click.Group):
     Parameters
     ----------
     sections : heading -> name of a command -> (its module, its line of help). The module holds the
-        command as ``command``. Commands of a section that have the same line share a row.
+        command as ``command``.
     """
 
     def __init__(
@@ -110,19 +110,10 @@ class LazyGroup(click.Group):
         return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        sections = {heading: _rows(commands) for heading, commands in self.sections.items()}
-        width = max(len(names) for rows in sections.values() for names, _ in rows)
-        for heading, rows in sections.items():
+        width = max(map(len, self._modules))
+        for heading, commands in self.sections.items():
             with formatter.section(heading):
-                formatter.write_dl([(names.ljust(width), line) for names, line in rows])
-
-
-def _rows(commands: dict[str, tuple[str, str]]) -> list[tuple[str, str]]:
-    """(names, line of help) of the commands of a section."""
-    names: dict[str, list[str]] = {}
-    for name, (_, line) in commands.items():
-        names.setdefault(line, []).append(name)
-    return [(", ".join(sharing), line) for line, sharing in names.items()]
+                formatter.write_dl([(n.ljust(width), line) for n, (_, line) in commands.items()])
 
 
 class Command(click.Command):

@@ -1,0 +1,245 @@
+"""`tso lab harm`: how often a cloud gets worse in the field, and whether tso says so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tso_cli.errors import InputError
+from tso_cli.plots.style import BETTER as GAIN_COLOUR
+from tso_cli.plots.style import COLOURS, INK, PALE, page
+from tso_cli.plots.style import WORSE as HARM_COLOUR
+
+from .. import options
+from ..options import option
+from ..studies.summary import grouped, rounded, summarised
+from ..study import Cases, Plan, Progress, Record, Study, Table
+from .runs import (
+    BETTER,
+    DEFAULT,
+    GAINED,
+    SAID,
+    SILENT,
+    VARIANTS,
+    WITHHELD,
+    WORSE,
+    rows_of,
+)
+from .scenes import STARTS, gallery
+from .troubles import TROUBLE, TROUBLES, Trouble
+
+ALL, LISTED, UNSEEN = "all", "listed", "unseen"
+SHARES = {SILENT: "silently worse %", SAID: "worse, said %", WITHHELD: "gain withheld %"}
+SEGMENTS = {
+    SILENT: ("silently worse", HARM_COLOUR),
+    SAID: ("worse and said, or refused as input", COLOURS[4]),
+    GAINED: ("better, kept", GAIN_COLOUR),
+    WITHHELD: ("a gain withheld", COLOURS[5]),
+}
+ROW_HEIGHT = 0.13
+"""Inches."""
+SCENES, QUICK_SCENES = 12, 2
+CONVENTION = {
+    "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + "
+    "backward, longest side 1, of the object's own points to 16,384 true ones; mean of the runs "
+    "that came to an end; before: the start as it was given, of exact starts what sampling leaves",
+    "starts": "exact: another sampling of the truth in its place; other: another shape of the "
+    "category, or, of a shape in no list, the truth stretched, sheared and bent",
+    "silently worse": f"ratio over {WORSE}, and neither a doubtful verdict nor a suspicious "
+    "finding",
+    "worse, said": f"ratio over {WORSE}, and one of these, or the input was refused",
+    "gain withheld": "the result was too doubtful to be taken, and with accept_doubtful its ratio "
+    f"is under {BETTER}",
+    **{trouble.name: f"the user {trouble.did}" for trouble in TROUBLES[1:]},
+}
+
+
+def plan(
+    progress: Progress,
+    *,
+    quick: bool,
+    meshes: Path | None,
+    split: Path | None,
+    part: str,
+    unseen: Path | None,
+    per: int | None,
+    seed: int,
+    variants: bool,
+    names: Sequence[str],
+) -> Plan:
+    """A job for each trouble, start and variant; InputError without meshes, unless ``quick``."""
+    per = per or (QUICK_SCENES if quick else SCENES)
+    if quick:
+        meshes = unseen = None
+    elif meshes is None and unseen is None:
+        raise InputError("--meshes is missing, expected a folder of meshes, or --quick")
+    for name in names:
+        if name not in TROUBLE:
+            raise InputError(f"--trouble is {name!r}, expected some of {', '.join(TROUBLE)}")
+    scenes = gallery(meshes, split, part, unseen, seed)
+    troubles = [trouble for trouble in TROUBLES if not names or trouble.name in names]
+    settings = {"quick": quick, "part": part, "per": per, "seed": seed}
+    settings["shapes"] = [shape.name for shape in scenes.shapes]
+    jobs = [
+        (
+            {"trouble": trouble.name, "start": start, "variant": variant},
+            partial(rows_of, scenes, trouble, (start,), per, variant),
+        )
+        for trouble in troubles
+        for start in trouble.starts
+        for variant in VARIANTS
+        if variant == DEFAULT or (variants and refines(variant, trouble))
+    ]
+    return Plan(settings, jobs)
+
+
+def refines(variant: str, trouble: Trouble) -> bool:
+    """The paper's preset knows no depth maps."""
+    return VARIANTS[variant].preset != "paper" or trouble.group != "depth"
+
+
+def conclude(cases: Cases) -> Record:
+    """{"summary": {variant: {trouble: {start: figures}}}, "strengths": {trouble: {strength: ...}}}.
+
+    Below trouble "all" are the totals, by start and by list. Strengths are of the default variant.
+    """
+    summary = summarised(cases, ("variant", "trouble", "start"), figures)
+    for variant, rows in grouped(cases, "variant").items():
+        totals = summarised(rows, ("start",), figures)
+        lists = {LISTED: [row for row in rows if row["listed"]]}
+        lists[UNSEEN] = [row for row in rows if not row["listed"]]
+        totals |= {name: figures(group) for name, group in lists.items() if group}
+        summary[variant][ALL] = totals | {ALL: figures(rows)}
+    ours = [row for row in cases if row["variant"] == DEFAULT and TROUBLE[row["trouble"]].levels]
+    strengths = summarised(ours, ("trouble", "start"), _by_strength)
+    return {"summary": summary, "strengths": strengths}
+
+
+def _by_strength(rows: Cases) -> Record:
+    """Strength, as text -> figures."""
+    groups = grouped(rows, "strength")
+    return {str(strength): figures(groups[strength]) for strength in sorted(groups)}
+
+
+def figures(rows: Cases) -> Record:
+    """Of some runs: how many, their mean and worst ratio, and per cent of what they became."""
+    ratios = [row["ratio"] for row in rows if row["ratio"] is not None]
+    became = [row["became"] for row in rows]
+    shares = {name: 100.0 * became.count(name) / len(rows) for name in SEGMENTS}
+    mean = float(np.mean(ratios)) if ratios else None
+    return rounded({"runs": len(rows), "ratio": mean, "worst": max(ratios, default=None), **shares})
+
+
+def tables(record: Record) -> list[Table]:
+    """By trouble and start, of each variant; by strength; totals."""
+    header = ["runs", "mean ratio", "worst", *SHARES.values()]
+    result = []
+    for variant, troubles in record["summary"].items():
+        rows = [
+            [name, start, *_cells(row)]
+            for name, starts in troubles.items()
+            for start, row in starts.items()
+            if name != ALL
+        ]
+        result.append(Table(["trouble", "start", *header], rows, f"Variant {variant}", decimals=2))
+    strengths = [
+        [name, start, TROUBLE[name].at(int(strength)), *_cells(row)]
+        for name, starts in record["strengths"].items()
+        for start, by_strength in starts.items()
+        for strength, row in by_strength.items()
+    ]
+    title = "By strength, default variant"
+    result.append(Table(["trouble", "start", "how far", *header], strengths, title, decimals=2))
+    totals = [
+        [variant, name, *_cells(row)]
+        for variant, troubles in record["summary"].items()
+        for name, row in troubles[ALL].items()
+    ]
+    result.append(Table(["variant", "runs of", *header], totals, "All troubles", decimals=2))
+    return result
+
+
+def _cells(row: Record) -> list[Any]:
+    return [row["runs"], row["ratio"], row["worst"], *(row[name] for name in SHARES)]
+
+
+def draw(path: Path, record: Record, overwrite: bool) -> None:
+    """Per cent of the runs that end in each way: a column of bars for each variant."""
+    from matplotlib.patches import Patch
+
+    summary = record["summary"]
+    bars = [
+        (name, start)
+        for name, starts in summary[DEFAULT].items()
+        for start in starts
+        if start in STARTS
+    ]
+    size = 2.6 + 3.2 * len(summary), 1.2 + ROW_HEIGHT * (len(bars) + 0.6 * len(summary[DEFAULT]))
+    with page(path, overwrite, size, dpi=100) as figure:
+        axes = figure.subplots(1, len(summary), squeeze=False, sharey=True)[0]
+        places = _places(bars)
+        for axis, (variant, troubles) in zip(axes, summary.items(), strict=True):
+            for place, (name, start) in zip(places, bars, strict=True):
+                _draw_bar(axis, place, troubles.get(name, {}).get(start))
+            axis.set_title(f"variant {variant}", fontsize=9)
+            axis.set(xlim=(0, 100), ylim=(places[-1] + 0.8, -0.8))
+            axis.tick_params(labelsize=7, left=False)
+        axes[0].set_yticks(places, [f"{name}, {start}" for name, start in bars], fontsize=7)
+        figure.supxlabel("per cent of the runs", fontsize=9)
+        handles = [Patch(color=colour, label=label) for label, colour in SEGMENTS.values()]
+        where: Any = {"loc": "outside upper center", "ncols": 4 if len(summary) > 1 else 2}
+        figure.legend(handles=handles, frameon=False, fontsize=8, **where)
+
+
+def _places(bars: Sequence[tuple[str, str]]) -> list[float]:
+    """Heights of the bars, with a gap between troubles."""
+    places = [0.0]
+    for before, after in zip(bars[:-1], bars[1:], strict=True):
+        places.append(places[-1] + (1.0 if before[0] == after[0] else 1.6))
+    return places
+
+
+def _draw_bar(axis: Any, place: float, row: Record | None) -> None:
+    axis.barh(place, 100.0, 0.9, color=PALE, alpha=0.35 if row else 0.0, linewidth=0)
+    left = 0.0
+    for name, (_, colour) in SEGMENTS.items() if row else ():
+        share = row[name] if row else 0.0
+        axis.barh(place, share, 0.9, left, color=colour, linewidth=0)
+        if name == SILENT and share:
+            style = {"fontsize": 6, "va": "center", "ha": "left", "color": INK}
+            axis.text(left + 0.5, place, f"{share:.0f}", **style)
+        left += share
+
+
+STUDY = Study(
+    name="harm",
+    about="Troubles of the field (an arm in the mask, a guessed focal length, a floor in the "
+    "cloud) in three strengths, with a start that is right and one of another shape; --quick "
+    "takes shipped examples.",
+    parts=("pictures", "points, paper", "points, best"),
+    tables=tables,
+    draw=draw,
+    reading="Each trouble is what a user did. An exact start should stay as it is, and another "
+    "shape should come nearer to the truth, or stay. Red is harm without a word; the pale rest of "
+    "a bar is what hardly changed.",
+    convention=CONVENTION,
+    options=(
+        option("--quick", "Shipped examples.", bool, False),
+        options.meshes(required=False),
+        options.SPLIT,
+        options.part("validation"),
+        options.UNSEEN,
+        option("--per", f"Scenes for each trouble and start.  [default: {SCENES}]", int, least=1),
+        option(
+            "--trouble", "May be repeated.  [default: all]", default=(), multiple=True, name="names"
+        ),
+        options.SEED,
+        option("--variants", "Also without a move as one, and the paper's preset.", bool, False),
+    ),
+    plan=plan,
+    conclude=conclude,
+)

@@ -1,0 +1,303 @@
+"""How much nearer to the truth a refinement comes, and how often it does harm, on unseen shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tso_cli.evaluation.footprint import IOU_MEANS
+from tso_cli.evaluation.metrics import chamfer, f_score
+from tso_cli.geometry.points import Array
+from tso_cli.io.shipped import default_checkpoint
+
+from .. import options
+from ..charts import Panel, draw_ratios, pictures_at
+from ..harm.scenes import STARTS, Gallery, gallery
+from ..options import option
+from ..study import Cases, Plan, Progress, Record, Study, Table
+from .accuracy_claims import claims
+from .bounds import across_the_view
+from .cases import KINDS, MASKS, Case, CaseBuilder, farthest_point_subset, kinds_of
+from .refining import (
+    ABLATION,
+    DEFAULT,
+    POINTS,
+    TWO_MASKS,
+    Variant,
+    alone,
+    refined,
+    with_prior,
+)
+from .shapes import Shape, prior_hash, shapes_of_part, view_aligned_network, weights_hash
+from .summary import (
+    grouped,
+    mean,
+    ratio_figures,
+    ratio_of_means,
+    ratios_of,
+    rounded,
+    summarised,
+)
+
+CATEGORIES = ("chair", "airplane", "car", "sofa", "table")
+UNSEEN, UNSEEN_CATEGORY = "unseen", "other kinds"
+"""Kind and category of the cases of shapes in no list."""
+SIZE, COUNT = 64, 1024
+"""Pixels of the masks each way, points of the clouds."""
+CASES_A_CALL = 32
+F_THRESHOLD = 0.02
+CONVENTION = {
+    "chamfer": "squared distances, mean over points, forward + backward, longest side 1; to as "
+    "many target points",
+    "f_score": f"share of points with a counterpart nearer than {F_THRESHOLD}, harmonic mean of "
+    "both directions, 16,384 target points",
+    "iou": IOU_MEANS,
+    "floor": "Chamfer distance of another sampling of the true surface",
+    "bound": "Chamfer distance left by the best smooth deformation across the first view, fitted "
+    "to the truth by a local search",
+}
+
+
+def plan(
+    progress: Progress,
+    *,
+    meshes: Path,
+    split: Path | None,
+    pictures: Path | None,
+    prior: Path,
+    unseen: Path | None = None,
+    kinds: tuple[str, ...] = (),
+    points: Mapping[str, Variant] = POINTS,
+    **settings: Any,
+) -> Plan:
+    """Refine every case of every kind with every variant, and compare it with the truth.
+
+    ``unseen`` : a folder of meshes whose cases are a kind of their own. ``prior`` is "learned",
+    "none" or a file, for the variants of the default preset in points mode.
+    """
+    ablation, categories = settings["ablation"], settings["categories"]
+    kinds = kinds or tuple(kind for kind in KINDS if kind != "right" or not ablation)
+    shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
+    network, about = None, None
+    if "network" in kinds:
+        network, about = view_aligned_network(default_checkpoint())
+    views, seed = settings["views"], settings["seed"]
+    builder = CaseBuilder(meshes, split, views, SIZE, COUNT, seed, network, about)
+    variants = with_prior(ABLATION if ablation else points, str(prior))
+    settings |= {"categories": list(categories), "kinds": list(kinds)}
+    settings |= {"shapes": [shape.name for shape in shapes]}
+    settings["network"] = weights_hash(network) if network else None
+    settings |= {"prior": prior.name, "prior_weights": prior_hash(prior)}
+    settings["variants"] = list(variants)
+
+    def refine_group(kind: str, group: list[Shape]) -> Cases:
+        cases = [case for shape in group for case in builder.cases(shape, kind)]
+        return refine_cases(cases, variants)
+
+    jobs, at_once = [], max(1, CASES_A_CALL // views)
+    for category in categories:
+        members = [shape for shape in shapes if shape.category == category]
+        for kind, start in product(kinds_of(category, kinds), range(0, len(members), at_once)):
+            group = members[start : start + at_once]
+            shared: Record = {"kind": kind, "shape": group[0].name}
+            jobs.append((shared, partial(refine_group, kind, group)))
+    for view in range(views) if unseen else ():
+        scenes = gallery(None, None, "", unseen, seed + view)
+        for start in range(0, len(scenes.shapes), CASES_A_CALL):
+            numbers = range(start, min(start + CASES_A_CALL, len(scenes.shapes)))
+            shared = {"kind": UNSEEN, "shape": scenes.shape(start).name, "view": view}
+            jobs.append((shared, partial(refine_unseen, scenes, numbers, view, variants)))
+    extremes = partial(_extremes, builder=builder, shapes=shapes, variant=variants[DEFAULT])
+    return Plan(settings, jobs, finish=pictures_at(pictures, progress.overwrite, extremes))
+
+
+def refine_unseen(
+    scenes: Gallery, numbers: Sequence[int], view: int, variants: Mapping[str, Variant]
+) -> Cases:
+    """As `refine_cases`, of shapes of kinds in no list; each starts as the warped truth."""
+    return refine_cases([unseen_case(scenes, number, view) for number in numbers], variants)
+
+
+def unseen_case(scenes: Gallery, number: int, view: int) -> Case:
+    """The case of a shape of the gallery, with all its masks."""
+    exact, other = (scenes.scene(number, start, MASKS) for start in STARTS)
+    target = farthest_point_subset(other.dense, COUNT)
+    floor = chamfer(exact.initial, target).chamfer
+    return Case(
+        UNSEEN,
+        UNSEEN_CATEGORY,
+        scenes.shape(number).name,
+        view,
+        "the truth, warped",
+        other.initial,
+        target,
+        other.dense,
+        other.views,
+        floor,
+    )
+
+
+def refine_cases(cases: list[Case], variants: Mapping[str, Variant]) -> Cases:
+    """Refine cases of one kind and category with every variant."""
+    records: Cases = []
+    for case in cases:
+        before = rounded({**_distances(case.initial, case), "floor": case.floor})
+        # A start that is right has nothing to gain.
+        bound = {} if case.kind == "right" else rounded({"bound": across_the_view(case)})
+        records.append({**case.names, "before": before, **bound, "variants": {}})
+    for name, variant in variants.items():
+        results = refined(cases, variant)
+        for case, record, result in zip(cases, records, results, strict=True):
+            ious = {"iou_before": result.fit.iou_before, "iou": result.fit.iou_after}
+            record["variants"][name] = rounded({**_distances(result.points, case), **ious})
+    return records
+
+
+def _distances(points: Array, case: Case) -> dict[str, float]:
+    distance, score = chamfer(points, case.target), f_score(points, case.dense, F_THRESHOLD)
+    return {"chamfer": distance.chamfer, "f_score": score.f_score}
+
+
+def _extremes(
+    record: Record, builder: CaseBuilder, shapes: list[Shape], variant: Variant
+) -> list[tuple[str, Case, Array]]:
+    """(title, case, points) of the worst and the median case of each category, refined once more.
+
+    They are of the first kind in ``record``; ``variant`` is the default.
+    """
+    by_name = {shape.name: shape for shape in shapes}
+    kind, cases_of_kind = next(iter(grouped(record["cases"], "kind").items()))
+    rows = []
+    for category, cases in grouped(cases_of_kind, "category").items():
+        ratios = ratios_of(cases, DEFAULT)
+        order = np.argsort(ratios)[::-1]
+        # A single case is the worst one.
+        for place, name in {order[len(order) // 2]: "median", order[0]: "worst"}.items():
+            shape = by_name[cases[place]["shape"]]
+            case = builder.cases(shape, kind)[cases[place]["view"]]
+            result = alone(case, variant, None)
+            title = f"{category}, {name}: {ratios[place]:.2f}, {shape.name.partition('/')[2][:16]}"
+            rows.append((title, case, result.points))
+    return rows
+
+
+def conclude(cases: Cases) -> Record:
+    """{"summary": {kind: {category: {"cases", "before", "variants"}}}, "claims"}.
+
+    A category has a "bound_ratio" too, mean bound over mean before, where its cases have a bound.
+    An ablation makes no claims.
+    """
+    summary = summarised(cases, ("kind", "category"), _means)
+    ablation = TWO_MASKS not in cases[0]["variants"]
+    return {"summary": summary, "claims": [] if ablation else claims(cases)}
+
+
+def _means(cases: Cases) -> Record:
+    before = {key: mean(case["before"][key] for case in cases) for key in ("chamfer", "f_score")}
+    floors = (case["before"]["floor"] / case["before"]["chamfer"] for case in cases)
+    before["floor_ratio"] = mean(floors)
+    variants = {}
+    for name in cases[0]["variants"]:
+        rows = [case["variants"][name] for case in cases]
+        keys = ("chamfer", "f_score", "iou_before", "iou")
+        means = {key: mean(row[key] for row in rows) for key in keys}
+        variants[name] = rounded(means | ratio_figures(ratios_of(cases, name)))
+    bound = {}
+    if all("bound" in case for case in cases):
+        bound["bound_ratio"] = ratio_of_means(cases, (case["bound"] for case in cases))
+    return {"cases": len(cases), "before": before, **rounded(bound), "variants": variants}
+
+
+def tables(record: Record) -> list[Table]:
+    """A row for each variant; of an ablation one table for all categories."""
+    summary = record["summary"]
+    if not record["settings"]["ablation"]:
+        return [_of_categories(summary)]
+    groups = {
+        f"{category}, {kind}": group
+        for kind, of_kind in summary.items()
+        for category, group in of_kind.items()
+    }
+    return [Table(["", *groups], _rows(groups), note=CELLS)]
+
+
+CELLS = "mean of Chamfer after / before (number of cases that got worse, worst ratio); floor: the "
+CELLS += "ratio of another sampling of the truth; bound: mean Chamfer of the best deformation "
+CELLS += "across the view / mean Chamfer of the start"
+LAST_ROWS = ("bound", "floor", "start, Chamfer x1000", "cases")
+
+
+def _of_categories(summary: Record) -> Table:
+    """A column for each kind."""
+    rows = []
+    for category in dict.fromkeys(category for of_kind in summary.values() for category in of_kind):
+        groups = {kind: of_kind.get(category) for kind, of_kind in summary.items()}
+        rows += [[category, *row] for row in _rows(groups)]
+    return Table(["category", "variant", *summary], rows, note=CELLS)
+
+
+def _rows(groups: dict[str, Record | None]) -> list[list[str | None]]:
+    """Rows of variants, then of the start; a column for each of ``groups``."""
+    cells = {key: _cells(group) if group else {} for key, group in groups.items()}
+    names = dict.fromkeys(name for column in cells.values() for name in column)
+    return [
+        [name, *(column.get(name) for column in cells.values())]
+        for name in sorted(names, key=LAST_ROWS.__contains__)
+    ]
+
+
+def _cells(group: Record) -> dict[str, str]:
+    ratios = "{mean_ratio:.2f} ({worse}, {worst_ratio:.2f})"
+    before, variants = group["before"], group["variants"].items()
+    bound = {"bound": f"{group['bound_ratio']:.2f}"} if "bound_ratio" in group else {}
+    last = f"{before['floor_ratio']:.2f}", f"{1e3 * before['chamfer']:.1f}", str(group["cases"])
+    cells = {name: ratios.format_map(figures) for name, figures in variants}
+    return cells | bound | dict(zip(LAST_ROWS[1:], last, strict=True))
+
+
+def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+    """Ratios of all cases, a row of panels for each kind."""
+    grid: list[list[Panel]] = []
+    for name, group in grouped(record["cases"], "kind").items():
+        panels = []
+        for category, cases in grouped(group, "category").items():
+            rows = {variant: ratios_of(cases, variant) for variant in cases[0]["variants"]}
+            panels.append(Panel(f"{category}, {name}", rows))
+        grid.append(panels)
+    draw_ratios(path, grid, overwrite)
+
+
+STUDY = Study(
+    name="accuracy",
+    about="Kinds of start: another shape's cloud, about as wrong as a trained network's (other); "
+    "the same, where clouds and cameras are turned together at random (turned); another shape's "
+    "close to the truth (near); the first with an object that the border truncates (cut); the "
+    "truth sampled again (right); the network's prediction (network); with --unseen the warped "
+    "truth of shapes of kinds in no list (unseen).",
+    parts=("pictures", "points, paper", "points, best", "network modes, paper"),
+    tables=tables,
+    draw=draw,
+    reading="Two questions: how much of the error does a refinement remove, and how often does it "
+    "add some? One mask says nothing of depth; a mirror plane and further masks do. Two samplings "
+    "of one surface differ too: no ratio can fall below this floor. The bound is what is left by a "
+    "smooth deformation across the view that knows the truth. Starts that are right already "
+    "show what a refinement costs where nothing is left to gain.",
+    convention=CONVENTION,
+    options=(
+        *options.COMMON,
+        options.part("test"),
+        options.categories(*CATEGORIES),
+        options.views(2),
+        options.PRIOR,
+        options.UNSEEN,
+        option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
+        options.pictures("the worst and the median case of each category"),
+    ),
+    plan=plan,
+    conclude=conclude,
+)
