@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ..errors import InputError, TsoError
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import as_triangles, longest_side
-from .movable import SUFFIXES as MOVABLE
-from .movable import MovableFile, in_words, read_movable
+from .meshes import MOVABLE, read_mesh, read_movable
+from .movable import MovableFile, in_words
 from .output import check_output, write_file
 from .paint import Paint, Pictures
 from .ply import PlyFile, new_ply
@@ -151,8 +151,6 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
             precision = "float32" if set(source.kinds) == {"f4"} else "float64"
             cloud = PointCloud(source.read(), path, precision, source)
         elif suffix in MESHES:
-            from .meshes import read_mesh
-
             mesh = read_mesh(path, textures=False)
             cloud = PointCloud(mesh.vertices, path, triangles=mesh.faces)
         elif suffix == ".npy":

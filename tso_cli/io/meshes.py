@@ -16,13 +16,14 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..signals import waiting_signals
-from .movable import SUFFIXES as MOVABLE
-from .movable import read_movable
+from .movable import MovableFile
 from .output import reason, write_file
 from .paint import Paint, Pictures
-from .ply import new_ply
+from .ply import PlyFile, new_ply
 from .reading import read_bytes, shown
 
+# Files that are written again with other vertices; every other value stays.
+MOVABLE = (".ply", ".glb", ".gltf", ".obj")
 SUFFIXES = (*MOVABLE, ".off", ".stl")
 # Pictures on a mesh that is rendered are shrunk until their longer side is about that, px.
 FINEST_PICTURE = 4096
@@ -121,6 +122,24 @@ def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> 
         line = f"{path}: {pictures.missing[0]}{more}, the material's colour is used"
         warnings.warn(line, stacklevel=2)
     return Mesh(vertices, faces, paint)
+
+
+def read_movable(data: bytes, path: Path, bytes_per_point: int = 0) -> MovableFile:
+    """The file ``path``, whose suffix is one of `MOVABLE` and whose bytes are ``data``.
+
+    Raises InputError if it is damaged, or if there is no memory for ``bytes_per_point`` bytes for
+    each point of a .ply file.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        return PlyFile(data, path, bytes_per_point)
+    if suffix == ".obj":
+        from .obj import ObjFile
+
+        return ObjFile(data, path)
+    from .gltf import GltfFile
+
+    return GltfFile(data, path)
 
 
 def _of_trimesh(path: Path, content: bytes) -> tuple[Array, Indices]:

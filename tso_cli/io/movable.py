@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -12,8 +11,6 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Bits, Indices
 from .output import reason
 from .paint import Paint, Pictures
-
-SUFFIXES = (".ply", ".glb", ".gltf", ".obj")
 
 
 class MovableFile(ABC):
@@ -97,26 +94,6 @@ class MovableFile(ABC):
 
     def require_movable(self) -> None:  # noqa: B027
         """Raise InputError if the file cannot be written with other points."""
-
-
-def read_movable(data: bytes, path: Path, bytes_per_point: int = 0) -> MovableFile:
-    """The file ``path``, whose suffix is one of `SUFFIXES` and whose bytes are ``data``.
-
-    Raises InputError if it is damaged, or if there is no memory for ``bytes_per_point`` bytes for
-    each point of a .ply file.
-    """
-    suffix = path.suffix.lower()
-    if suffix == ".ply":
-        from .ply import PlyFile
-
-        return PlyFile(data, path, bytes_per_point)
-    if suffix == ".obj":
-        from .obj import ObjFile
-
-        return ObjFile(data, path)
-    from .gltf import GltfFile
-
-    return GltfFile(data, path)
 
 
 def in_words(names: Iterable[str]) -> str:
