@@ -174,7 +174,7 @@ def _alpha(image: Image.Image) -> NDArray[Any] | None:
 
 
 class _Picture(NamedTuple):
-    """codes, brightness : [H, W], what tells labels apart, and the mask if there are none.
+    """codes, brightness : [H, W], a number for each label, and the mask if there are no labels.
 
     colours : codes are colours.
     """
