@@ -79,8 +79,8 @@ class _Segmentations(Checked):
 
     def _size(self, height: Any, width: Any) -> tuple[int, int]:
         if not (type(height) is int and type(width) is int and min(height, width) > 0):
-            found = f"{kind(height)} x {kind(width)}"
-            raise self.error("the size", found, "height and width of the picture")
+            sides = f"{kind(height)} x {kind(width)}"
+            raise self.error("the size", sides, "height and width of the picture")
         check_size(width, height, self.path)
         return height, width
 

@@ -233,13 +233,13 @@ def _refuse_photo(brightness: NDArray[np.uint8], path: Path) -> None:
 
 def _is_grey(image: Image.Image) -> bool:
     """Whether the used colours of a palette are grey, and not all the same."""
-    used = np.flatnonzero(image.histogram())
+    indices = np.flatnonzero(image.histogram())
     whole_palette = image.resize((256, 1))
     whole_palette.putdata(range(256))
-    colours = np.asarray(whole_palette.convert("RGB"))[0, used]
+    colours = np.asarray(whole_palette.convert("RGB"))[0, indices]
     grey = bool((colours == colours[:, :1]).all())
     # A palette with one colour for different indices says nothing: then the indices are labels.
-    return grey and (used.size == 1 or colours.min() != colours.max())
+    return grey and (indices.size == 1 or colours.min() != colours.max())
 
 
 def _label_of(

@@ -51,12 +51,12 @@ def shape_kind(path: Path) -> str:
     if suffix not in SUFFIXES and not path.is_dir():
         from .plugins import readers
 
-        others = readers()
-        if suffix in others:
+        plugins = readers()
+        if suffix in plugins:
             return "cloud"
         raise InputError(
             f"{path}: the suffix is {suffix!r}, "
-            f"expected a cloud, mesh or grid: {', '.join((*SUFFIXES, *others))}"
+            f"expected a cloud, mesh or grid: {', '.join((*SUFFIXES, *plugins))}"
         )
     if suffix in MESH_SUFFIXES:
         return "mesh"
