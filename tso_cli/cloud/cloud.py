@@ -89,17 +89,17 @@ class Cloud:
         distant = self.points[outliers]
         if views and len(distant) and are_part_of_object(distant, len(self.points), views):
             outliers = left_out
-        seen = ~outliers & ~self.faint
-        decides = self.surface.at(self.points) if self.surface else self.points[seen]
-        if views and not self.predicted and (others := find_left_out(decides, views)):
-            left_out = others.holds(self.points) & ~outliers
+        visible = ~outliers & ~self.faint
+        decides = self.surface.at(self.points) if self.surface else self.points[visible]
+        if views and not self.predicted and (unmasked := find_left_out(decides, views)):
+            left_out = unmasked.holds(self.points) & ~outliers
         if self.surface:
             surface, left_out = self.surface.without(left_out)
             samples = SurfaceSamples(surface, most or CONTROL_POINTS)
             return ControlledCloud(self, left_out, samples, left_out)
         outliers = outliers | left_out
         most = None if self.predicted else most
-        subset = Subset(self.points, seen & ~outliers, most, self.faint & ~outliers)
+        subset = Subset(self.points, visible & ~outliers, most, self.faint & ~outliers)
         return ControlledCloud(self, outliers, subset, left_out)
 
 
@@ -207,6 +207,6 @@ def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:
     if np.asarray(colours).dtype == np.uint8:
         as_floats = as_floats / np.float32(255.0)
     if not (as_floats.min() >= 0.0 and as_floats.max() <= 1.0):
-        found = f"{as_floats.min():g} to {as_floats.max():g}"
-        raise InputError(f"{name}: the colours span {found}, expected 0 to 1, or uint8")
+        span = f"{as_floats.min():g} to {as_floats.max():g}"
+        raise InputError(f"{name}: the colours span {span}, expected 0 to 1, or uint8")
     return as_floats

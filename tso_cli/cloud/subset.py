@@ -76,13 +76,13 @@ class Subset:
 
     def _interpolated(self, points: Array, displacements: Array) -> Array:
         """Displacements of ``points`` [M, 3]: means of the nearest control points'."""
-        found = np.empty_like(points)
+        moved = np.empty_like(points)
         count = min(INTERPOLATED_FROM, len(self.control_points))
         for start in range(0, len(points), INTERPOLATED_AT_ONCE):
             part = slice(start, start + INTERPOLATED_AT_ONCE)
-            some = points[part]
-            near = nearest_few(some, self.control_points, count)
-            squared = np.square(some[:, None] - self.control_points[near]).sum(2)
+            block = points[part]
+            near = nearest_few(block, self.control_points, count)
+            squared = np.square(block[:, None] - self.control_points[near]).sum(2)
             weights = falling_weights(np.sqrt(squared))
-            found[part] = (weights[..., None] * displacements[near]).sum(1)
-        return found
+            moved[part] = (weights[..., None] * displacements[near]).sum(1)
+        return moved
