@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..evaluation.footprint import Solid
 from ..geometry.arrays import Array, Bits, as_numbers
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.view import View
@@ -145,6 +146,11 @@ class ControlledCloud:
         return self._control.measured(self.source.points)
 
     @property
+    def solid(self) -> Solid:
+        """What has its silhouette: the points that are measured, or the triangles of a mesh."""
+        return self._control.solid(self.source.points)
+
+    @property
     def body(self) -> Body:
         """What of it is compared with masks when it moves as one."""
         return Body(self.measured, self.centre, self.scale)
@@ -172,8 +178,8 @@ class ControlledCloud:
         of_points = self._follow(displacements)
         # Added to what was given, so that unmoved points stay the same to the last bit.
         points = self.source.points + self.scale * of_points
-        measured = self._control.measured(points)
-        return MovedCloud(points, measured, self._control.at_control_points(of_points))
+        measured, solid = self._control.measured(points), self._control.solid(points)
+        return MovedCloud(points, measured, solid, self._control.at_control_points(of_points))
 
     def _follow(self, displacements: Array) -> Array:
         """[V, 3], of all points, by those of the control points [N, 3]."""
@@ -188,6 +194,7 @@ class MovedCloud:
 
     points: Array  # [V, 3], of the cloud, or the vertices of the mesh
     measured: Array  # [M, 3], as `ControlledCloud.measured`
+    solid: Solid  # as `ControlledCloud.solid`
     displacements: Array  # [N, 3] of the control points, in longest sides
 
 

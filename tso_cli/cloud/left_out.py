@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..evaluation.footprint import window_iou
+from ..evaluation.footprint import Solid, window_iou
 from ..geometry.arrays import Array, Bits
 from ..geometry.points import bounding_box_normalisation, longest_side, quantile, scattered
 from ..geometry.view import View
@@ -156,7 +156,7 @@ def _body(points: Array) -> Body:
 
 def _overlap(points: Array, views: Sequence[View]) -> float:
     few_views = some_views(views, OVERLAPPING_VIEWS)
-    return float(np.mean([window_iou(points, view) for view in few_views]))
+    return float(np.mean([window_iou(Solid(points), view) for view in few_views]))
 
 
 def _ground(points: Array, left_out: Bits) -> Plane | None:

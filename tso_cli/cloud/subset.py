@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..evaluation.footprint import Solid
 from ..geometry.arrays import Array, Bits
 from ..losses.nearest import nearest_few
 from .interpolation import INTERPOLATED_FROM, falling_weights
@@ -54,6 +55,10 @@ class Subset:
     def measured(self, values: Array) -> Array:
         """[M, C], the ``values`` [V, C] of all points but outliers."""
         return values if self._all_inliers else values[self._inliers]
+
+    def solid(self, values: Array) -> Solid:
+        """The points that are measured, at ``values`` [V, 3]."""
+        return Solid(self.measured(values))
 
     def follow(self, displacements: Array) -> Array:
         """Displacements [V, 3] of all points by those of the control points [S, 3].

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..evaluation.footprint import Solid
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import CANDIDATES, as_triangles, draw_surface, spread_subset
 from ..io.paint import Paint
@@ -101,6 +102,11 @@ class SurfaceSamples:
     def measured(self, values: Array) -> Array:
         """[M, C], the same at all points drawn by area: the surface as it is measured."""
         return self._surface.at(values)
+
+    def solid(self, values: Array) -> Solid:
+        """The triangles with their vertices at ``values`` [V, 3]."""
+        joined, faces = np.unique(self._surface.triangles, return_inverse=True)
+        return Solid(values[joined], faces.reshape(-1, 3))
 
     def follow(self, displacements: Array) -> Array:
         """Displacements [V, 3] of the vertices by those of the control points [S, 3].

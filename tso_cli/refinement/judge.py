@@ -118,6 +118,7 @@ def judge(
         points=move.apply(moved.points),
         initial=cloud.source.points,
         measured=(cloud.measured, move.apply(moved.measured)),
+        solids=(cloud.solid, moved.solid._replace(points=move.apply(moved.solid.points))),
         outliers=cloud.outliers,
         control_points=len(cloud.control_points),
         of_mesh=cloud.source.surface is not None,
@@ -197,7 +198,7 @@ def _ious(problem: Problem, before: Sequence[View], moved: MovedCloud) -> list[t
     """
     ious = []
     for first, last in zip(before, problem.views, strict=True):
-        stages = (problem.cloud.measured, first), (moved.measured, last)
+        stages = (problem.cloud.solid, first), (moved.solid, last)
         box = common_window(stages)
         ious.append((window_iou(*stages[0], box), window_iou(*stages[1], box)))
     return ious
