@@ -660,3 +660,18 @@ def test_a_file_of_torch_before_1_6_is_read(tmp_path):
 )
 def test_a_file_of_another_kind_than_its_suffix_says_so(save, name, content, says):
     assert_refused(says, read_cloud, save(name, content))
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".off"])
+def test_a_concave_face_of_a_file_is_the_surface_that_it_bounds(save, suffix):
+    corners = [(0.5, -0.3), (-0.3, -0.3), (-0.3, 0.5), (-0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)]
+    rows = "\n".join(f"{x} {y} 0" for x, y in corners)
+    texts = {
+        ".obj": "v " + rows.replace("\n", "\nv ") + "\nf 1 2 3 4 5 6\n",
+        ".off": f"OFF\n6 1 0\n{rows}\n6 0 1 2 3 4 5\n",
+        ".ply": "ply\nformat ascii 1.0\nelement vertex 6\nproperty float x\nproperty float y\n"
+        "property float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        f"{rows}\n6 0 1 2 3 4 5\n",
+    }
+    mesh = read_mesh(save(f"L{suffix}", texts[suffix]))
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces).area == pytest.approx(0.36)

@@ -367,7 +367,10 @@ def test_a_texture_beside_a_glb_is_read(tmp_path):
 def test_several_textures_that_are_missing_are_counted_in_one_line(tmp_path):
     materials = "newmtl one\nmap_Kd 1.png\nnewmtl two\nmap_Kd 2.png\n"
     path = parts(tmp_path, materials, "usemtl one\nf 1/1 2/1 3/1\nusemtl two\nf 2/1 3/1 4/1\n")
-    assert "'1.png' is not in this folder or below (2 in all)" in warned(path)[1]
+    assert (
+        "'1.png' is not in this folder or below, the material's colour is used (2 in all)"
+        in warned(path)[1]
+    )
 
 
 @pytest.mark.filterwarnings("error")

@@ -240,8 +240,9 @@ class GltfFile(Checked, MovableFile):
         else:
             indices = np.arange(part.count)
         if len(indices) and not 0 <= indices.min() <= indices.max() < part.count:
+            wrong = indices.min() if indices.min() < 0 else indices.max()
             raise InputError(
-                f"{self.path}: a face names vertex {indices.max()}, expected 0 to {part.count - 1}"
+                f"{self.path}: a face names vertex {wrong}, expected 0 to {part.count - 1}"
             )
         mode = primitive.get("mode", _TRIANGLES)
         if mode == _TRIANGLES:
@@ -254,6 +255,8 @@ class GltfFile(Checked, MovableFile):
             triangles = np.stack([first, indices[1:-1], indices[2:]], 1)
         else:
             triangles = np.empty((0, 3), np.int64)  # points and lines
+        if np.linalg.det(part.matrix[:3, :3]) < 0.0:
+            triangles = triangles[:, ::-1]  # a mirror turns faces inside out
         return _Primitive(part, triangles, attributes, primitive.get("material"))
 
     def _positions(self, accessor: Any) -> Array:
@@ -360,8 +363,11 @@ class GltfFile(Checked, MovableFile):
                 if accessor is None:
                     pictures.miss(coat.name, "has no coordinates on the mesh")
                     continue
-                places = coat.placed(_as_shares(self._values(accessor, ("VEC2",))))
-                at = places[primitive.triangles]
+                coordinates = _as_shares(self._values(accessor, ("VEC2",)))
+                if len(coordinates) < primitive.part.count or not np.isfinite(coordinates).all():
+                    pictures.miss(coat.name, "has no coordinates at some of the vertices")
+                    continue
+                at = coat.placed(coordinates)[primitive.triangles]
                 textures.append(Texture(coat.picture, faces, at, wraps=coat.wraps))
         return Paint.of_parts(corners, textures)
 

@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import InputError
 from ..geometry.arrays import Array, Pixels
 from .gltf_scene import base_colour_of
+from .output import reason
 from .paint import Pictures, Wrap
 
 _WRAPS: dict[int, Wrap] = {10497: "repeat", 33648: "mirror", 33071: "clamp"}
@@ -38,16 +39,13 @@ class Coat:
     def placed(self, coordinates: Array) -> Array:
         """Places [N, 2] as `Texture` has them: u right, v up. glTF has v down."""
         moved = coordinates * self.scale + self.offset
-        if not np.isfinite(moved).all():
-            raise InputError("texture coordinates are not finite")
         return np.stack([moved[:, 0], 1.0 - moved[:, 1]], 1)
 
 
 class Materials:
     """The materials of a scene's ``document``, each read when it is met.
 
-    ``bytes_of`` gives the bytes of a buffer view. Errors of any kind say that the document is
-    damaged.
+    ``bytes_of`` gives the bytes of a buffer view.
     """
 
     def __init__(
@@ -57,11 +55,20 @@ class Materials:
         self._decoded: dict[int, tuple[str, Pixels | None]] = {}
 
     def coat(self, number: int | None) -> Coat:
-        """The material ``number``; None is that of a primitive without one, which is white."""
+        """The material ``number``; white if there is none, or if it is damaged."""
         if number is None:
             return Coat(np.ones(3))
-        base = base_colour_of(self._document["materials"][number])
+        try:
+            return self._read(self._document["materials"][number])
+        except Exception as error:
+            self._pictures.miss(f"number {number}", f"cannot be read ({reason(error)})", "material")
+            return Coat(np.ones(3))
+
+    def _read(self, material: dict[str, Any]) -> Coat:
+        base = base_colour_of(material)
         factor = np.array(base.get("baseColorFactor", [1.0] * 4), dtype=np.float64)[:3]
+        if factor.shape != (3,) or not np.isfinite(factor).all():
+            raise InputError("its baseColorFactor is not four numbers")
         picture = base.get("baseColorTexture")
         if picture is None:
             return Coat(factor)

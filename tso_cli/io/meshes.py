@@ -15,12 +15,13 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
+from ..geometry.polygons import triangulated
 from ..signals import waiting_signals
 from .movable import MovableFile
 from .output import reason, write_file
 from .paint import Paint, Pictures
 from .ply import PlyFile, new_ply
-from .reading import read_bytes, shown
+from .reading import read_bytes, require_memory, shown
 
 # Files that are written again with other vertices; every other value stays.
 MOVABLE = (".ply", ".glb", ".gltf", ".obj")
@@ -28,7 +29,6 @@ SUFFIXES = (*MOVABLE, ".off", ".stl")
 # Pictures on a mesh that is rendered are shrunk until their longer side is about that, px.
 FINEST_PICTURE = 4096
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL file
-_GLUED = re.compile(rb"\A(\s*OFF)(?=\d)")
 _COUNTS = re.compile(rb"OFF\s*(?:#[^\n]*\n\s*)*(\d{1,18})\s+(\d{1,18})[^\n]*")
 
 
@@ -83,7 +83,7 @@ def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> 
     content = read_bytes(path, f"a mesh ({', '.join(SUFFIXES)})")
     source = read_movable(content, path) if suffix in MOVABLE else None
     if source is None:
-        vertices, faces = _of_trimesh(path, content)
+        vertices, faces = (_of_off if suffix == ".off" else _of_stl)(content, path)
     else:
         vertices, triangles = source.read(), source.read_faces()
         faces = np.empty((0, 3), np.int64) if triangles is None else triangles
@@ -119,8 +119,7 @@ def read_mesh(path: Path, textures: bool = True, within: Path | None = None) -> 
         paint = None  # no material says anything
     if pictures.missing:
         more = f" ({len(pictures.missing)} in all)" if len(pictures.missing) > 1 else ""
-        line = f"{path}: {pictures.missing[0]}{more}, the material's colour is used"
-        warnings.warn(line, stacklevel=2)
+        warnings.warn(f"{path}: {pictures.missing[0]}{more}", stacklevel=2)
     return Mesh(vertices, faces, paint)
 
 
@@ -142,15 +141,9 @@ def read_movable(data: bytes, path: Path, bytes_per_point: int = 0) -> MovableFi
     return GltfFile(data, path)
 
 
-def _of_trimesh(path: Path, content: bytes) -> tuple[Array, Indices]:
-    """Vertices [V, 3] and faces [F, 3] of a .off or .stl file, which trimesh reads."""
-    kind = path.suffix.lower()[1:]
-    if kind == "off":
-        _check_off(content, path)
-        # Files of ModelNet have the counts behind OFF, without a space.
-        content = _GLUED.sub(rb"\1\n", content, count=1)
-    else:
-        _check_stl(content, path)
+def _of_stl(content: bytes, path: Path) -> tuple[Array, Indices]:
+    """Vertices [V, 3] and faces [F, 3] of a .stl file, which trimesh reads."""
+    _check_stl(content, path)
     with waiting_signals():
         import trimesh
     # trimesh logs its own errors with a traceback. The one line that is raised below replaces them.
@@ -161,50 +154,57 @@ def _of_trimesh(path: Path, content: bytes) -> tuple[Array, Indices]:
         # trimesh takes Ctrl-C in the middle of a file for a part that cannot be read.
         with np.errstate(all="ignore"), warnings.catch_warnings(), waiting_signals():
             warnings.simplefilter("ignore")
-            mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
+            mesh = trimesh.load_mesh(io.BytesIO(content), file_type="stl", process=False)
             vertices = np.array(mesh.vertices, dtype=np.float64).reshape(-1, 3)
-            faces = np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
+            return vertices, np.array(mesh.faces, dtype=np.int64).reshape(-1, 3)
     # A damaged file can make the parser raise anything.
     except Exception as error:
         raise InputError(
-            f"{path}: is not a readable .{kind} mesh ({reason(error)}), expected a whole file"
+            f"{path}: is not a readable .stl mesh ({reason(error)}), expected a whole file"
         ) from None
     finally:
         log.setLevel(before)
-    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
-        wrong = faces.min() if faces.min() < 0 else faces.max()
-        raise InputError(f"{path}: a face names vertex {wrong}, expected 0 to {len(vertices) - 1}")
-    return vertices, faces
 
 
-def _check_off(content: bytes, path: Path) -> None:
-    """Raise InputError if an OFF file lacks lines that it states, or numbers in a line."""
+def _of_off(content: bytes, path: Path) -> tuple[Array, Indices]:
+    """Vertices [V, 3] and faces [F, 3] of a .off file; colours and normals are left out."""
     match = _COUNTS.search(content)
     if match is None:
         raise InputError(
             f"{path}: has no counts of vertices and faces after OFF, expected a whole OFF file"
         )
-    vertices, faces = int(match[1]), int(match[2])
-    rows, first = 0, content.count(b"\n", 0, match.end()) + 1
+    count, faces = int(match[1]), int(match[2])
+    require_memory(path, 400 * min(count + faces, len(content)))
+    vertices: list[list[float]] = []
+    polygons: list[list[int]] = []
+    first = content.count(b"\n", 0, match.end()) + 1
     for number, line in enumerate(content[match.end() :].splitlines(), first):
         words = line.partition(b"#")[0].split()
-        if not words:
+        if not words or len(polygons) == faces:
             continue
-        if rows < vertices:
-            _check_place(words, number, path)
-        elif rows < vertices + faces and not (
-            words[0].isdigit() and len(words[0]) < 10 and len(words) > int(words[0])
-        ):
-            raise _wrong_line(
-                words, number, path, "the count of corners of a face and its vertices"
-            )
-        rows += 1
-    if rows < vertices + faces:
-        nouns = ("vertex" if vertices == 1 else "vertices", "face" if faces == 1 else "faces")
+        if len(vertices) < count:
+            vertices.append(_place(words, number, path))
+            continue
+        try:
+            length = int(words[0])
+            polygons.append([int(word) for word in words[1 : length + 1]])
+            if length < 0 or len(polygons[-1]) < length:
+                raise ValueError
+        except ValueError:
+            expected = "the count of corners of a face and its vertices"
+            raise _wrong_line(words, number, path, expected) from None
+    if len(vertices) < count or len(polygons) < faces:
+        nouns = ("vertex" if count == 1 else "vertices", "face" if faces == 1 else "faces")
         raise InputError(
-            f"{path}: ends early: it has {rows:,} lines after its counts, which state "
-            f"{vertices:,} {nouns[0]} and {faces:,} {nouns[1]}, expected a line for each"
+            f"{path}: ends early: it has {len(vertices) + len(polygons):,} lines after its counts, "
+            f"which state {count:,} {nouns[0]} and {faces:,} {nouns[1]}, expected a line for each"
         )
+    corners = np.array([corner for polygon in polygons for corner in polygon], dtype=np.int64)
+    if len(corners) and not 0 <= corners.min() <= corners.max() < count:
+        wrong = corners.min() if corners.min() < 0 else corners.max()
+        raise InputError(f"{path}: a face names vertex {wrong}, expected 0 to {count - 1}")
+    points, lengths = np.array(vertices).reshape(-1, 3), np.array([len(p) for p in polygons], int)
+    return points, corners[triangulated(points, corners, lengths)]
 
 
 def _check_stl(content: bytes, path: Path) -> None:
@@ -224,7 +224,7 @@ def _check_stl(content: bytes, path: Path) -> None:
         name = words[0].lower().decode("ascii", "replace") if words else ""
         counts[name] = counts.get(name, 0) + 1
         if name == "vertex":
-            _check_place(words[1:], number, path)
+            _place(words[1:], number, path)
     for name in ("facet", "solid"):
         begun, ended = counts[name], counts[f"end{name}"]
         if begun != ended:
@@ -239,13 +239,13 @@ def _check_stl(content: bytes, path: Path) -> None:
         )
 
 
-def _check_place(words: list[bytes], number: int, path: Path) -> None:
-    """Raise InputError unless a line begins with x, y and z."""
-    try:
-        if len([float(word) for word in words[:3]]) < 3:
-            raise ValueError
-    except ValueError:
-        raise _wrong_line(words, number, path, "x, y and z") from None
+def _place(words: list[bytes], number: int, path: Path) -> list[float]:
+    """x, y and z at the beginning of a line; InputError if it has no three numbers."""
+    with suppress(ValueError):
+        place = [float(word) for word in words[:3]]
+        if len(place) == 3:
+            return place
+    raise _wrong_line(words, number, path, "x, y and z")
 
 
 def _wrong_line(words: list[bytes], number: int, path: Path, expected: str) -> InputError:

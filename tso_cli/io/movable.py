@@ -63,7 +63,8 @@ class MovableFile(ABC):
                 return self.read_paint(pictures)
         except Exception as error:
             is_refusal = isinstance(error, InputError)
-            pictures.missing.append(reason(error) if is_refusal else f"damaged ({reason(error)})")
+            why = reason(error) if is_refusal else f"damaged ({reason(error)})"
+            pictures.missing.append(f"{why}, its colours are left out")
             return None
 
     def read_faint(self) -> Bits | None:

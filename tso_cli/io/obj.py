@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.normals import rigid_turn, turned_normals
+from ..geometry.polygons import triangulated
 from .movable import MovableFile
 from .paint import Paint, Pictures
 from .ply_body import spliced
@@ -27,37 +28,26 @@ from .similarity import Similarity, similarity_of
 _LONE_RETURN = re.compile(rb"\r(?!\n)")
 # A line that continues on the next one ends with a backslash.
 _CONTINUED = re.compile(rb"\\\r?\n")
-_LINE = re.compile(rb"^[ \t]*(v|vn|f)[ \t]+([^\r\n#]*)", re.MULTILINE)
+_MARK = rb"^(?:\xef\xbb\xbf)?[ \t]*"  # the first line may begin with a byte-order mark
+_LINE = re.compile(
+    _MARK + rb"(?:(v|vt|vn|f)[ \t]+([^\r\n#]*)|usemtl[ \t]+([^\r\n]*))", re.MULTILINE
+)
+# Names may hold blanks, a line several names, and a comment may follow.
+_LIBRARIES = re.compile(_MARK + rb"mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
+_LIBRARY = re.compile(rb"\S.*?\.mtl(?=\s|$)", re.IGNORECASE)
 _WORD = re.compile(rb"[^ \t]+")
 
 
-def simplified(data: bytes) -> bytes:
-    """The text of an OBJ file as simple readers expect it.
-
-    A line stands for itself, no comment follows a value, and faces count all vertices, texture
-    points and normals from 1: relative indices, which count back, depend on where the face stands.
-    """
-    data = _LONE_RETURN.sub(b"\n", data)
-    if not re.search(rb"\\\r?\n|[ \t/]-\d|[^\s#][^\n#]*#", data):
-        return data
-    counts = {b"v": 0, b"vt": 0, b"vn": 0}
-    lines = _CONTINUED.sub(b"  ", data).split(b"\n")
-    for number, line in enumerate(lines):
-        words = line.partition(b"#")[0].split()
-        if not words:
-            continue
-        if words[0] in counts:
-            counts[words[0]] += 1
-            lines[number] = b" ".join(words)
-        elif words[0] in (b"f", b"l"):
-            totals = tuple(counts.values())
-            absolute = [b"/".join(map(_absolute, word.split(b"/"), totals)) for word in words[1:]]
-            lines[number] = b" ".join([words[0], *absolute])
-    return b"\n".join(lines)
+_Row = tuple[int, list[tuple[int, int]]]
+"""Where a row of numbers begins in the file, and begin and end of each number."""
 
 
-def _absolute(text: bytes, total: int) -> bytes:
-    return str(total + 1 + int(text)).encode() if re.fullmatch(rb"-\d{1,18}", text) else text
+class _Face(NamedTuple):
+    """The words of a face, and vertices, texture points and normals of the file before it."""
+
+    words: list[bytes]
+    before: tuple[int, int, int]
+    material: bytes
 
 
 class ObjFile(MovableFile):
@@ -77,20 +67,24 @@ class ObjFile(MovableFile):
         # Spaces in place of the line break keep every byte where it is.
         self._lines = _LONE_RETURN.sub(b"\n", data)
         text = _CONTINUED.sub(lambda match: b" " * len(match[0]), self._lines)
-        rows: dict[bytes, list[tuple[int, list[tuple[int, int]]]]] = {b"v": [], b"vn": [], b"f": []}
-        self._faces: list[tuple[int, int, list[bytes]]] = []  # vertices and normals so far, words
+        rows: dict[bytes, list[_Row]] = {b"v": [], b"vt": [], b"vn": []}
+        self._faces: list[_Face] = []
+        material = b""
         for match in _LINE.finditer(text):
             kind, begin = match[1], match.start(2)
-            if kind == b"f":
-                counts = len(rows[b"v"]), len(rows[b"vn"])
-                self._faces.append((*counts, match[2].split()))
-                continue
-            spans = [(begin + w.start(), begin + w.end()) for w in _WORD.finditer(match[2])]
-            rows[kind].append((begin, spans))
+            if kind is None:
+                material = match[3].strip()
+            elif kind == b"f":
+                before = len(rows[b"v"]), len(rows[b"vt"]), len(rows[b"vn"])
+                self._faces.append(_Face(match[2].split(), before, material))
+            else:
+                spans = [(begin + w.start(), begin + w.end()) for w in _WORD.finditer(match[2])]
+                rows[kind].append((begin, spans))
         if not rows[b"v"]:
             raise InputError(f"{path}: holds no vertex (v x y z), expected some")
-        self._spans = self._of_three(rows[b"v"])
-        self._normal_spans = self._of_three(rows[b"vn"]) if rows[b"vn"] else None
+        self._spans = self._first_words(rows[b"v"], 3)
+        self._normal_spans = self._first_words(rows[b"vn"], 3) if rows[b"vn"] else None
+        self._texture_rows = rows[b"vt"]
         coloured = all(len(spans) >= 6 for _, spans in rows[b"v"])
         self._colour_spans = (
             np.array([s[4:7] if len(s) > 6 else s[3:6] for _, s in rows[b"v"]])
@@ -105,17 +99,24 @@ class ObjFile(MovableFile):
                 stacklevel=4,
             )
         self._points = self._numbers(self._spans)
-        self._triangles, self._normals = self._triangulated()
+        corners = self._indices(0, len(self._points))
+        lengths = np.array([len(face.words) for face in self._faces], dtype=np.int64)
+        # Where the corners of the triangles [F, 3] are among those of all faces.
+        self._places = triangulated(self._points, corners, lengths)
+        self._triangles = corners[self._places]
+        count = 0 if self._normal_spans is None else len(self._normal_spans)
+        self._normals = self._indices(2, count)[self._places]  # [F, 3], -1 for none
 
-    def _of_three(self, rows: list[tuple[int, list[tuple[int, int]]]]) -> Indices:
-        """[N, 3, 2], begin and end of the first three words of each row."""
+    def _first_words(self, rows: list[_Row], count: int) -> Indices:
+        """[N, count, 2], begin and end of the first ``count`` words of each row."""
         for begin, spans in rows:
-            if len(spans) < 3:
+            if len(spans) < count:
                 line = self._lines.count(b"\n", 0, begin) + 1
                 raise InputError(
-                    f"{self.path}: line {line} has {len(spans)} numbers, expected x, y and z"
+                    f"{self.path}: line {line} has {len(spans)} numbers, expected "
+                    f"{'x, y and z' if count == 3 else 'u and v'}"
                 )
-        return np.array([spans[:3] for _, spans in rows], dtype=np.int64)
+        return np.array([spans[:count] for _, spans in rows], dtype=np.int64)
 
     def _numbers(self, spans: Indices) -> Array:
         values = np.empty(spans.shape[:2])
@@ -132,47 +133,35 @@ class ObjFile(MovableFile):
                     ) from None
         return values
 
-    def _triangulated(self) -> tuple[Indices, Indices]:
-        """Triangles [F, 3], polygons as fans, and the normal of each corner [F, 3], -1 for none."""
-        triangles, normals = [], []
-        for vertices, normals_before, words in self._faces:
-            corners, directions = [], []
-            for word in words:
-                parts = word.split(b"/")
-                corners.append(self._index(parts[0], vertices, len(self._points), word))
-                third = parts[2] if len(parts) > 2 else b""
-                count = 0 if self._normal_spans is None else len(self._normal_spans)
-                directions.append(self._index(third, normals_before, count, word) if third else -1)
-            for k in range(1, len(corners) - 1):
-                triangles.append((corners[0], corners[k], corners[k + 1]))
-                normals.append((directions[0], directions[k], directions[k + 1]))
-        shape = (len(triangles), 3)
-        return (
-            np.array(triangles, np.int64).reshape(shape),
-            np.array(normals, np.int64).reshape(shape),
-        )
+    def _indices(self, part: int, count: int) -> Indices:
+        """What all faces name: of ``count`` vertices (``part`` 0), texture points (1), normals (2).
 
-    def _index(self, text: bytes, before: int, count: int, word: bytes) -> int:
-        """The index that a face names; a negative one counts back from the face."""
-        try:
-            number = int(text)
-        except ValueError:
-            number = 0
-        index = number - 1 if number > 0 else before + number
-        if number == 0 or not 0 <= index < count:
-            named = plain(word.decode("ascii", "backslashreplace"))
-            raise InputError(
-                f"{self.path}: a face names {named}, expected vertices 1 to {count}, or -1 and so "
-                "on for the last ones"
-            )
-        return index
+        Negative indices count back from the face. -1 is a corner that names none.
+        """
+        indices = []
+        for face in self._faces:
+            for word in face.words:
+                text = (word.split(b"/") + [b"", b""])[part]
+                number = int(text) if re.fullmatch(rb"[-+]?\d{1,18}", text) else 0
+                index = number - 1 if number > 0 else face.before[part] + number
+                if not text and part > 0:
+                    index = -1
+                elif number == 0 or not 0 <= index < count:
+                    named = plain(word.decode("ascii", "backslashreplace"))
+                    kind = ("vertices", "texture points", "normals")[part]
+                    raise InputError(
+                        f"{self.path}: a face names {named}, expected {kind} 1 to {count}, or -1 "
+                        "and so on for the last ones"
+                    )
+                indices.append(index)
+        return np.array(indices, dtype=np.int64)
 
     def read(self) -> Array:
         """The vertices [V, 3], in the file's order."""
         return self._points.copy()
 
     def read_faces(self) -> Indices | None:
-        """Triangles [F, 3], polygons as fans; None if the file has no faces."""
+        """Triangles [F, 3]; None if the file has no faces."""
         return self._triangles if len(self._triangles) else None
 
     def read_colours(self) -> Array | None:
@@ -191,8 +180,14 @@ class ObjFile(MovableFile):
         """map_Kd of the materials, or Kd; None if there is no picture and vertices have colours."""
         from . import obj_paint
 
-        libraries, count = self.files_named(self._lines), len(self._triangles)
-        paint = obj_paint.read_paint(simplified(self.data), libraries, pictures, count)
+        names = [face.material for face in self._faces for _ in face.words]
+        of_faces = [names[place] for place in self._places[:, 0].tolist()]
+        materials = obj_paint.read_materials(self.files_named(self._lines), pictures)
+        points = self._indices(1, len(self._texture_rows))[self._places]
+        # v may be missing; a third number is of textures in space.
+        rows = [(begin, [*spans, *spans][:2]) for begin, spans in self._texture_rows]
+        coordinates = self._numbers(self._first_words(rows, 2)) if rows else np.empty((0, 2))
+        paint = obj_paint.painted(of_faces, materials, points, coordinates, pictures)
         coloured = self._colour_spans is not None
         return paint if paint.textures or not coloured else None
 
@@ -222,8 +217,9 @@ class ObjFile(MovableFile):
 
     def files_named(self, data: bytes) -> list[str]:
         """The .mtl files that the text names."""
-        lines = re.findall(rb"^[ \t]*mtllib[ \t]+(.+?)[ \t\r]*$", data, re.MULTILINE)
-        return [line.decode("utf-8", "replace") for line in lines]
+        lines = _LIBRARIES.findall(data)
+        names = [name for line in lines for name in _LIBRARY.findall(line) or [line]]
+        return [name.decode("utf-8", "replace") for name in names]
 
     def with_points(self, points: Array, matrix: Array | None = None) -> bytes:
         """The file with its vertices moved to ``points`` [V, 3].

@@ -151,7 +151,7 @@ class Pictures:
         """The file that the mesh calls ``name``; None if it is missing or elsewhere."""
         slashed = name.strip().replace("\\", "/")
         if slashed.startswith("-"):
-            # Options of map_Kd, such as a scale, come before the name. They are ignored.
+            # Options of map_Kd that are not known come before the name.
             slashed = slashed.split()[-1]
         for candidate in (slashed, slashed.rpartition("/")[2]):
             place = (self._folder / candidate).resolve()
@@ -194,6 +194,7 @@ class Pictures:
 
     def miss(self, name: str, why: str, what: str = "texture") -> None:
         """Add a line to ``missing``: the texture ``name`` cannot be used, and ``why``."""
-        line = f"the {what} {shown(name)} {why}"
+        instead = "white" if what == "material" else "the material's colour"
+        line = f"the {what} {shown(name)} {why}, {instead} is used"
         if line not in self.missing:
             self.missing.append(line)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Bits, Indices
+from ..geometry.polygons import triangulated
 from .movable import MovableFile
 from .ply_body import BinaryBody, Change, TextBody, layout
 from .ply_header import Element, Property, parse_header
@@ -228,7 +229,7 @@ class PlyFile(MovableFile):
         return np.asarray(opacity[:, 0] < np.log(LEAST_OPACITY / (1.0 - LEAST_OPACITY)))
 
     def read_faces(self) -> Indices | None:
-        """Triangles [F, 3], polygons as fans of triangles; None if the file has no faces.
+        """Triangles [F, 3] of all polygons; None if the file has no faces.
 
         Raises InputError if a face names a vertex that does not exist.
         """
@@ -242,12 +243,11 @@ class PlyFile(MovableFile):
         element = self.header.elements.get("face")
         if element is None or not element.count or _corners_of(element) is None:
             return None
-        fans = [np.empty((0, 3), dtype=np.int64)]
+        points, triangles = self.read(), [np.empty((0, 3), dtype=np.int64)]
         for _, _, _, polygons in self._polygons(element, 3):
-            length = polygons.shape[1]
-            triangles = [polygons[:, [0, k, k + 1]] for k in range(1, length - 1)]
-            fans.append(np.stack(triangles, axis=1).reshape(-1, 3))
-        return np.concatenate(fans)
+            corners, lengths = polygons.ravel(), np.full(len(polygons), polygons.shape[1])
+            triangles.append(corners[triangulated(points, corners, lengths)])
+        return np.concatenate(triangles)
 
     def _polygons(
         self, element: Element, least: int

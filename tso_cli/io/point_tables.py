@@ -39,6 +39,7 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
         raise InputError(f"{path}: is UTF-16 text, expected UTF-8; save it as CSV UTF-8")
     if suffix == ".pcd":
         return _of_pcd(data, path, bytes_per_point)
+    data = data.removeprefix(codecs.BOM_UTF8)
     _refuse_long_lines(data, path)
     if suffix == ".csv":
         require_memory(path, bytes_per_point * data.count(b"\n"))
