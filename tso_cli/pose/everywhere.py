@@ -17,18 +17,14 @@ from .search import TELLS_PLACE, Comparison, search_from, some_views
 from .starts import closed_iou, distinct, starts
 from .target import Target
 
-
-class Points:
-    """Numbers of points of a cloud."""
-
-    # Larger clouds are thinned at random before farthest points are chosen, to save time.
-    THINNED = 4096
-    SCORED = 1024  # in the end
+# Points of a cloud that are scored in the end. Larger clouds are thinned at random before farthest
+# points are chosen, to save time.
+SCORED_POINTS, THINNED_POINTS = 1024, 4096
 
 
 @dataclass(frozen=True)
 class _Stage:
-    """One of the two searches, each faster or finer than the other."""
+    """One of the two searches by nearest neighbours: the faster one or the finer one."""
 
     side: int  # of the square, cells
     points: int  # of the cloud
@@ -36,6 +32,19 @@ class _Stage:
     degrees: float  # a placement within this angle of a better one is dropped
     steps: int
     robust: float  # scale of distances, cells
+
+    def improved(
+        self,
+        placements: Placements,
+        score: Array,
+        points: Array,
+        targets: Sequence[Target],
+        freedom: Freedom,
+    ) -> Placements:
+        """The distinct placements of the highest scores [P], drawn to the masks."""
+        placements = placements[distinct(placements.R, score, self.degrees, self.kept)]
+        misfit = NearestMisfit(points[: self.points], targets, self.robust)
+        return improve(placements, misfit, freedom, self.steps)[0]
 
 
 COARSE = _Stage(side=32, points=256, kept=48, degrees=20.0, steps=12, robust=6.0)
@@ -61,6 +70,9 @@ class Candidates:
     missed: Array
     iou: Array
 
+    def __getitem__(self, rows: Indices) -> Candidates:
+        return Candidates(self.placements[rows], self.missed[rows], self.iou[rows])
+
 
 def search_everywhere(
     comparison: Comparison, points: Array, views: Sequence[View], freedom: Freedom
@@ -76,14 +88,9 @@ def search_everywhere(
     local = spread_points(points)
     coarse = tuple(Target.of(view, COARSE.side) for view in some_views(views, COARSE_VIEWS))
     placements, score = starts(local[: COARSE.points], coarse, freedom)
-    placements = placements[distinct(placements.R, score, COARSE.degrees, COARSE.kept)]
-    misfit = NearestMisfit(local[: COARSE.points], coarse, COARSE.robust)
-    placements, _ = improve(placements, misfit, freedom, COARSE.steps)
-    some = local[: FINE.points]
-    score = closed_iou(some, placements, coarse, spacing(some))
-    placements = placements[distinct(placements.R, score, FINE.degrees, FINE.kept)]
-    misfit = NearestMisfit(some, comparison.targets, FINE.robust)
-    by_cells, _ = improve(placements, misfit, freedom, FINE.steps)
+    placements = COARSE.improved(placements, score, local, coarse, freedom)
+    score = closed_iou(local[: FINE.points], placements, coarse, spacing(local[: FINE.points]))
+    by_cells = FINE.improved(placements, score, local, comparison.targets, freedom)
     by_cells = comparison.at_depth(by_cells, freedom)
     placements, value = comparison.settled(by_cells, freedom)
     placements = placements[distinct(placements.R, -value, APART, len(placements))]
@@ -102,17 +109,17 @@ def _searched_around(
 ) -> Placements:
     """The best placements, searched from many starts around each, and then the rest."""
     few = min(AROUND, len(placements))
-    found = [search_from(comparison, freedom, start=placements[i : i + 1]) for i in range(few)]
-    order = np.argsort([one.missed for one in found], kind="stable")
-    return Placements.joined([*(found[i].placement for i in order), placements[few:]])
+    results = [search_from(comparison, freedom, placements[i : i + 1]) for i in range(few)]
+    results.sort(key=lambda result: result.missed)
+    return Placements.joined([*(result.placement for result in results), placements[few:]])
 
 
 def spread_indices(points: Array) -> Indices:
     """Indices of at most 1,024 of ``points``; for every k the first k of them are spread evenly."""
     index = np.arange(len(points))
-    if len(points) > Points.THINNED:
-        index = np.random.default_rng(0).permutation(len(points))[: Points.THINNED]
-    return index[farthest_point_sample(points[index], min(Points.SCORED, len(index)))]
+    if len(points) > THINNED_POINTS:
+        index = np.random.default_rng(0).permutation(len(points))[:THINNED_POINTS]
+    return index[farthest_point_sample(points[index], min(SCORED_POINTS, len(index)))]
 
 
 def spread_points(points: Array) -> Array:
@@ -126,6 +133,12 @@ def spacing(points: Array) -> float:
 
     distance, _ = cKDTree(points).query(points, 2)
     return float(np.median(distance[:, 1]))
+
+
+def unlike_first(points: Array, R: Array, colours: Array | None = None) -> list[int]:
+    """Indices of the rotations ``R`` [P, 3, 3] that no symmetry of the cloud makes of the first."""
+    gap, others = spacing(points), range(1, len(R))
+    return [i for i in others if not same_by_symmetry(points, R[0], R[i], gap, colours)]
 
 
 def same_by_symmetry(

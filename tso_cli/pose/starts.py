@@ -11,7 +11,7 @@ from ..geometry.arrays import Array
 from ..geometry.rotations import angle_between, spread
 from .levenberg import Freedom
 from .placement import SHIFT, SIZE, UNKNOWNS, Placements
-from .target import Projected, Target
+from .target import Target
 
 # Width in cells of the border around the square that collects the points outside.
 BORDER = 2
@@ -34,11 +34,12 @@ def starts(points: Array, targets: Sequence[Target], freedom: Freedom) -> tuple[
     With its place and size, the box of the projected ``points`` [N, 3] has the middle and the size
     of the mask's box in each view, as far as ``freedom`` lets it.
     """
-    of_first = targets[0].camera
-    rotations = of_first.R.T @ spread(DIRECTIONS, TURNS)
+    rotations = targets[0].camera.R.T @ spread(DIRECTIONS, TURNS)
+    t = _meeting_point(targets)
+    size = size_of_object(targets, t) if freedom.basis[SIZE].any() else 1.0
     batches, scores = [], []
     for R in (rotations[i : i + AT_ONCE] for i in range(0, len(rotations), AT_ONCE)):
-        placements = _before_cameras(R, targets, freedom)
+        placements = Placements.at(R, np.tile(t, (len(R), 1)), np.full(len(R), size))
         for _ in range(CORRECTIONS):
             placements = _with_boxes(points, placements, targets, freedom)
         batches.append(placements)
@@ -92,14 +93,6 @@ def size_of_object(targets: Sequence[Target], at: Array | None = None) -> float:
     return float(np.exp(np.mean(logs)))
 
 
-def _before_cameras(R: Array, targets: Sequence[Target], freedom: Freedom) -> Placements:
-    """The cloud in rotations ``R`` where the rays through the middles of the masks meet."""
-    t = _meeting_point(targets)
-    size = size_of_object(targets, t) if freedom.basis[SIZE].any() else 1.0
-    count = len(R)
-    return Placements.at(R, np.tile(t, (count, 1)), np.full(count, size))
-
-
 def _with_boxes(
     points: Array, placements: Placements, targets: Sequence[Target], freedom: Freedom
 ) -> Placements:
@@ -113,12 +106,16 @@ def _with_boxes(
     gradient = np.zeros((count, UNKNOWNS))
     for target in targets:
         middle, size = _box(target)
-        seen = target.project(points, placements)
-        first, last = seen.px.min(1), seen.px.max(1)
+        px = target.project(points, placements).px
+        first, last = px.min(1), px.max(1)
         extent = np.sqrt(np.maximum(np.prod(last - first, axis=1), 1.0))
         centre = target.project(CENTRE, placements)
         J = centre.jacobian(np.arange(count), np.zeros(count, np.int64))
-        growth = _growth(centre, target, count)
+        # The derivative of the logarithm of the cloud's size in the picture.
+        growth = np.zeros((count, UNKNOWNS))
+        growth[:, SIZE] = 1.0
+        if target.camera.model == "perspective":
+            growth[:, SHIFT] = -centre.inverse[:, 0, None] * target.camera.R[2]
         residual = middle - (first + last) / 2.0
         log = np.log(size / extent)
         # An error of the size by a factor e weighs as much as the size itself.
@@ -132,43 +129,27 @@ def _with_boxes(
     return placements.stepped(step / np.maximum(large, 1.0)[:, None])
 
 
-def _growth(centre: Projected, target: Target, count: int) -> Array:
-    """[P, 17] derivative of the logarithm of the cloud's size in the picture."""
-    growth = np.zeros((count, UNKNOWNS))
-    growth[:, SIZE] = 1.0
-    if target.camera.model == "perspective":
-        growth[:, SHIFT] = -centre.inverse[:, 0, None] * target.camera.R[2]
-    return growth
-
-
 def coarse_iou(points: Array, placements: Placements, targets: Sequence[Target]) -> Array:
     """Soft IoU [P] of the masks and the cells of the points, both dilated; mean over views.
 
     If only the points were dilated, placements that make the cloud small and dense would score
     best.
     """
-    return np.mean([_coarse_iou(points, placements, target) for target in targets], 0)
-
-
-def _coarse_iou(points: Array, placements: Placements, target: Target) -> Array:
-    px = target.project(points, placements).px
-    cell = np.clip(np.rint(px), -BORDER, target.side - 1 + BORDER).astype(np.int64) + BORDER
-    wide = target.side + 2 * BORDER
-    flat = (np.arange(len(placements))[:, None] * wide + cell[..., 1]) * wide + cell[..., 0]
-    hits = (
-        np.bincount(flat.ravel(), minlength=len(placements) * wide * wide)
-        .reshape(-1, wide, wide)
-        .astype(np.float32)
-    )
-    inner = slice(BORDER, -BORDER)
-    silhouette = _dilated(hits)[:, inner, inner]
-    mask = _dilated(np.pad(target.mask, BORDER)[None].astype(np.float32))[:, inner, inner]
-    known = target.known.astype(np.float32)
-    intersection = (np.minimum(silhouette, mask) * known).sum((1, 2))
-    union = (np.maximum(silhouette, mask) * known).sum((1, 2))
-    outside = 0.0 if target.truncated else hits.sum((1, 2)) - hits[:, inner, inner].sum((1, 2))
-    iou: Array = intersection / (union + outside)
-    return iou
+    count, ious, inner = len(placements), [], np.s_[:, BORDER:-BORDER, BORDER:-BORDER]
+    for target in targets:
+        px = target.project(points, placements).px
+        cell = np.clip(np.rint(px), -BORDER, target.side - 1 + BORDER).astype(np.int64) + BORDER
+        wide = target.side + 2 * BORDER
+        flat = (np.arange(count)[:, None] * wide + cell[..., 1]) * wide + cell[..., 0]
+        hits = np.bincount(flat.ravel(), minlength=count * wide * wide).astype(np.float32)
+        hits = hits.reshape(-1, wide, wide)
+        mask = _dilated(np.pad(target.mask, BORDER)[None].astype(np.float32))[inner]
+        silhouette, known = _dilated(hits)[inner], target.known.astype(np.float32)
+        intersection = (np.minimum(silhouette, mask) * known).sum((1, 2))
+        union = (np.maximum(silhouette, mask) * known).sum((1, 2))
+        outside = 0.0 if target.truncated else hits.sum((1, 2)) - hits[inner].sum((1, 2))
+        ious.append(intersection / (union + outside))
+    return np.mean(ious, 0)
 
 
 def _dilated(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -190,27 +171,23 @@ def closed_iou(
     `tso_cli.evaluation.footprint`, its coverage is soft at the border of a shape, so that it ranks
     placements that differ by less than a cell.
     """
-    return np.mean([_closed_iou(points, placements, target, radius) for target in targets], 0)
-
-
-def _closed_iou(points: Array, placements: Placements, target: Target, radius: float) -> Array:
     from scipy.ndimage import distance_transform_edt
 
-    grid = np.indices(target.mask.shape)[::-1].reshape(2, -1).T.astype(np.float32)
-    to_mask = distance_transform_edt(~target.inside)
-    seen = target.project(points, placements)
-    depth = target.project(CENTRE, placements).inverse[:, 0]
-    cells = radius * placements.size * placements.focal * depth * target.camera.K[0, 0]
-    scores = np.empty(len(placements))
-    for i, (px, reach) in enumerate(zip(seen.px, cells, strict=True)):
-        px = px.astype(np.float32)
-        squared = (grid @ (-2.0 * px.T) + np.square(px).sum(1)).min(1) + np.square(grid).sum(1)
-        to_point = np.sqrt(np.maximum(squared, 0.0)).reshape(target.mask.shape)
-        # Coverage of cells, which is soft at the border of a dilated shape.
-        cloud, mask = (np.clip(reach + 0.5 - d, 0.0, 1.0) for d in (to_point, to_mask))
-        intersection = (np.minimum(cloud, mask) * target.known).sum()
-        scores[i] = intersection / (np.maximum(cloud, mask) * target.known).sum()
-    return scores
+    ious = np.empty((len(targets), len(placements)))
+    for number, target in enumerate(targets):
+        grid = np.indices(target.mask.shape)[::-1].reshape(2, -1).T.astype(np.float32)
+        to_mask = distance_transform_edt(~target.inside)
+        pixels = target.project(points, placements).px.astype(np.float32)
+        inverse = target.project(CENTRE, placements).inverse[:, 0]
+        cells = radius * placements.size * placements.focal * inverse * target.camera.K[0, 0]
+        for i, (px, reach) in enumerate(zip(pixels, cells, strict=True)):
+            squared = (grid @ (-2.0 * px.T) + np.square(px).sum(1)).min(1) + np.square(grid).sum(1)
+            to_point = np.sqrt(np.maximum(squared, 0.0)).reshape(target.mask.shape)
+            # Coverage of cells, which is soft at the border of a dilated shape.
+            cloud, mask = (np.clip(reach + 0.5 - d, 0.0, 1.0) for d in (to_point, to_mask))
+            intersection = (np.minimum(cloud, mask) * target.known).sum()
+            ious[number, i] = intersection / (np.maximum(cloud, mask) * target.known).sum()
+    return np.mean(ious, 0)
 
 
 def distinct(R: Array, score: Array, degrees: float, count: int) -> NDArray[np.int64]:
@@ -219,9 +196,9 @@ def distinct(R: Array, score: Array, degrees: float, count: int) -> NDArray[np.i
     None is within ``degrees`` of a better one.
     """
     order = np.argsort(-score, kind="stable")
-    chosen: list[int] = []
-    while len(order) and len(chosen) < count:
+    indices: list[int] = []
+    while len(order) and len(indices) < count:
         best = order[0]
-        chosen.append(int(best))
+        indices.append(int(best))
         order = order[angle_between(R[order], R[best]) > degrees]
-    return np.array(chosen)
+    return np.array(indices)
