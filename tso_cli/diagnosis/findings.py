@@ -113,8 +113,7 @@ class Finding:
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
         """What is right if the finding is; () of a symptom."""
-        found = map(hypothesis_called, self.name.split("+"))
-        return tuple(one for one in found if one)
+        return tuple(filter(None, map(hypothesis_called, self.name.split("+"))))
 
     @property
     def says(self) -> str:
@@ -122,7 +121,7 @@ class Finding:
         if self.without:
             return f"the assumption {self.without.text} is wrong"
         if self.hypotheses:
-            return " and ".join(one.says for one in self.hypotheses)
+            return " and ".join(hypothesis.says for hypothesis in self.hypotheses)
         return SYMPTOMS[self.name].format(**self.values)
 
     def __str__(self) -> str:

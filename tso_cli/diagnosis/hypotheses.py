@@ -25,6 +25,10 @@ def focal_in_pixels(camera: Camera) -> bool:
     return camera.model != "perspective" or bool(camera.K[0, 0] >= SHORTEST_FOCAL * longer)
 
 
+def _focal_not_in_pixels(camera: Camera) -> bool:
+    return not focal_in_pixels(camera)
+
+
 def _as_read(camera: Camera) -> Camera:
     return camera
 
@@ -120,34 +124,22 @@ def _unit(factor: float) -> CameraChange:
     return in_units_of_cloud
 
 
-def _of_shares(camera: Camera) -> Camera:
-    """K is in shares of width and height, with pixel centres at halves, as MoGe's."""
-    return replace(camera, K=from_shares(camera.K, camera.width, camera.height))
-
-
 def _of_ndc(camera: Camera) -> Camera:
-    """K is in PyTorch3D's normalised device coordinates."""
     half = min(camera.width, camera.height) / 2.0
     K = np.diag([half, half, 1.0]) @ camera.K
     K[:2, 2] = np.array([camera.width, camera.height]) / 2.0 - 0.5 - K[:2, 2]
     return replace(camera, K=K)
 
 
-def _focal(change: Callable[[Camera], float]) -> CameraChange:
-    """The focal length is multiplied by ``change``."""
+def _focal(factor: Callable[[Camera], float]) -> CameraChange:
+    """The focal length is multiplied by ``factor``."""
 
     def changed(camera: Camera) -> Camera:
-        factor = change(camera)
         K = camera.K.copy()
-        K[[0, 1, 0], [0, 1, 1]] *= factor
+        K[[0, 1, 0], [0, 1, 1]] *= factor(camera)
         return replace(camera, K=K)
 
     return changed
-
-
-def _of_sensor(millimetres: float) -> CameraChange:
-    """The focal length is in mm of a sensor of this width."""
-    return _focal(lambda camera: camera.width / millimetres)
 
 
 def _of_degrees(camera: Camera) -> float:
@@ -171,10 +163,6 @@ def _mask(
     return Hypothesis(f"mask-{name}", f"the mask is {says}", picture=picture, applies=applies)
 
 
-def _cloud(name: str, says: str, axes: str) -> Hypothesis:
-    return Hypothesis(f"cloud-{name}", says, axes)
-
-
 def _units(what: str, unit: str, metres: float) -> Hypothesis:
     other = "camera" if what == "cloud" else "cloud"
     says = f"the {what} is in {unit}, the {other} in metres"
@@ -186,10 +174,7 @@ def _size(name: str, says: str, factor: float) -> Hypothesis:
 
 
 def _focal_unit(name: str, says: str, camera: CameraChange) -> Hypothesis:
-    def not_in_pixels(camera: Camera) -> bool:
-        return not focal_in_pixels(camera)
-
-    return Hypothesis(name, says, camera=camera, applies=not_in_pixels)
+    return Hypothesis(name, says, camera=camera, applies=_focal_not_in_pixels)
 
 
 _OPENGL, _X_LEFT = _axes(1.0, -1.0, -1.0), _axes(-1.0, -1.0, 1.0)
@@ -216,15 +201,26 @@ OF_AXES = (
     Hypothesis("R-transposed", "R is transposed, or multiplies rows", camera=_transposed),
 )
 UPRIGHT = (
-    _cloud("z-up", "the cloud's z points up, the scene's y", "x z -y"),
-    _cloud("y-up", "the cloud's y points up, the scene's z", "x -z y"),
-    _cloud("upside-down", "the cloud is upside down", "x -y -z"),
+    Hypothesis("cloud-z-up", "the cloud's z points up, the scene's y", "x z -y"),
+    Hypothesis("cloud-y-up", "the cloud's y points up, the scene's z", "x -z y"),
+    Hypothesis("cloud-upside-down", "the cloud is upside down", "x -y -z"),
 )
 FOCAL_UNITS = (
-    _focal_unit("K-normalised", "K is in shares of the width and height", _of_shares),
+    _focal_unit(
+        "K-normalised",
+        "K is in shares of the width and height",
+        # Pixel centres are at halves, as MoGe's.
+        lambda camera: replace(camera, K=from_shares(camera.K, camera.width, camera.height)),
+    ),
     _focal_unit("K-ndc", "K is in normalised device coordinates, as PyTorch3D's", _of_ndc),
-    _focal_unit("focal-mm-36", f"{_MM.format(36)} (focal-mm-32: 32 mm)", _of_sensor(36.0)),
-    _focal_unit("focal-mm-32", f"{_MM.format(32)}, as Pix3D's", _of_sensor(32.0)),
+    _focal_unit(
+        "focal-mm-36",
+        f"{_MM.format(36)} (focal-mm-32: 32 mm)",
+        _focal(lambda camera: camera.width / 36.0),
+    ),
+    _focal_unit(
+        "focal-mm-32", f"{_MM.format(32)}, as Pix3D's", _focal(lambda camera: camera.width / 32.0)
+    ),
     _focal_unit(
         "focal-degrees",
         "the focal length is the horizontal field of view in degrees",
@@ -241,11 +237,11 @@ HYPOTHESES = {
         _mask("turned-left", "turned by 90 degrees to the left", "-y x", _square),
         _mask("turned-right", "turned by 90 degrees to the right", "y -x", _square),
         *UPRIGHT,
-        _cloud("xy-swapped", "x and y of the cloud are exchanged", "y x z"),
-        _cloud("yz-swapped", "y and z of the cloud are exchanged", "x z y"),
-        _cloud("xz-swapped", "x and z of the cloud are exchanged", "z y x"),
-        _cloud("yzx", "the cloud's axes are y, z, x", "z x y"),
-        _cloud("zxy", "the cloud's axes are z, x, y", "y z x"),
+        Hypothesis("cloud-xy-swapped", "x and y of the cloud are exchanged", "y x z"),
+        Hypothesis("cloud-yz-swapped", "y and z of the cloud are exchanged", "x z y"),
+        Hypothesis("cloud-xz-swapped", "x and z of the cloud are exchanged", "z y x"),
+        Hypothesis("cloud-yzx", "the cloud's axes are y, z, x", "z x y"),
+        Hypothesis("cloud-zxy", "the cloud's axes are z, x, y", "y z x"),
         *(_units("cloud", name, metres) for name, metres in _LENGTHS.items()),
         *(_units("camera", name, 1.0 / metres) for name, metres in _LENGTHS.items()),
         _size("ten-times-large", "ten times too large, as millimetres for centimetres", 0.1),

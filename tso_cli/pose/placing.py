@@ -12,12 +12,18 @@ from ..geometry.arrays import Array
 from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
 from .asked import Keep, Moved
-from .everywhere import search_everywhere, spacing, spread_points, unlike_first
+from .everywhere import (
+    closed_iou,
+    search_everywhere,
+    size_of_object,
+    spacing,
+    spread_points,
+    unlike_first,
+)
 from .levenberg import Freedom
 from .move import MOST_DEGREES, Body, Move, unmoved
 from .placement import GROWTH, SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements
 from .search import EXPLAINED, SURE_GAP, Comparison, SearchResult, place_from, some_views
-from .starts import closed_iou, size_of_object
 from .target import Part
 
 # The default does not move a cloud by more of the standard deviations below.

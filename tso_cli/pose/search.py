@@ -13,9 +13,8 @@ from ..geometry.arrays import Array
 from ..geometry.points import scattered
 from ..geometry.rotations import lattice
 from ..geometry.view import View
-from .depth import DepthMisfit, Surface
 from .levenberg import Freedom, Misfit, improve
-from .misfit import Contour, ContourMisfit, NearestMisfit
+from .misfit import Contour, ContourMisfit, DepthMisfit, NearestMisfit, Surface
 from .placement import SIZE, TURN, UNKNOWNS, Placements
 from .target import Part, Target
 
