@@ -87,13 +87,9 @@ def visible_in(view: View, x: Array, y: Array) -> Bits:
     height, width = view.mask.shape
     visible: Bits = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
     if view.known is not None:
-        visible[visible] = view.known[pixels_at(x[visible], y[visible])]
+        row, column = (np.rint(place[visible]).astype(int) for place in (y, x))
+        visible[visible] = view.known[row, column]
     return visible
-
-
-def pixels_at(x: Array, y: Array) -> tuple[Indices, Indices]:
-    """Rows and columns of the pixels at the places ``x`` and ``y``, px."""
-    return np.rint(y).astype(int), np.rint(x).astype(int)
 
 
 class Outline:

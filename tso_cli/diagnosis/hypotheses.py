@@ -25,16 +25,8 @@ def focal_in_pixels(camera: Camera) -> bool:
     return camera.model != "perspective" or bool(camera.K[0, 0] >= SHORTEST_FOCAL * longer)
 
 
-def _focal_not_in_pixels(camera: Camera) -> bool:
-    return not focal_in_pixels(camera)
-
-
 def _as_read(camera: Camera) -> Camera:
     return camera
-
-
-def _always(camera: Camera) -> bool:
-    return True
 
 
 def permutation(axes: str) -> Array:
@@ -62,7 +54,7 @@ class Hypothesis:
     camera: CameraChange = _as_read
     picture: str = "x y"
     inverted: bool = False
-    applies: Callable[[Camera], bool] = _always
+    applies: Callable[[Camera], bool] = lambda camera: True
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Hypothesis) and other.name == self.name
@@ -153,14 +145,15 @@ def _principal_point_swapped(camera: Camera) -> Camera:
     return replace(camera, K=K)
 
 
-def _square(camera: Camera) -> bool:
-    return camera.width == camera.height
-
-
-def _mask(
-    name: str, says: str, picture: str, applies: Callable[[Camera], bool] = _always
-) -> Hypothesis:
-    return Hypothesis(f"mask-{name}", f"the mask is {says}", picture=picture, applies=applies)
+def _mask(name: str, says: str, picture: str) -> Hypothesis:
+    turned = picture in ("-y x", "y -x")
+    return Hypothesis(
+        f"mask-{name}",
+        f"the mask is {says}",
+        picture=picture,
+        # A picture that is turned by a right angle keeps its size only if it is square.
+        applies=lambda camera: not turned or camera.width == camera.height,
+    )
 
 
 def _units(what: str, unit: str, metres: float) -> Hypothesis:
@@ -174,7 +167,7 @@ def _size(name: str, says: str, factor: float) -> Hypothesis:
 
 
 def _focal_unit(name: str, says: str, camera: CameraChange) -> Hypothesis:
-    return Hypothesis(name, says, camera=camera, applies=_focal_not_in_pixels)
+    return Hypothesis(name, says, camera=camera, applies=lambda read: not focal_in_pixels(read))
 
 
 _OPENGL, _X_LEFT = _axes(1.0, -1.0, -1.0), _axes(-1.0, -1.0, 1.0)
@@ -234,8 +227,8 @@ HYPOTHESES = {
         _mask("flipped", "flipped left to right", "-x y"),
         _mask("upside-down", "upside down", "x -y"),
         _mask("turned", "turned by 180 degrees", "-x -y"),
-        _mask("turned-left", "turned by 90 degrees to the left", "-y x", _square),
-        _mask("turned-right", "turned by 90 degrees to the right", "y -x", _square),
+        _mask("turned-left", "turned by 90 degrees to the left", "-y x"),
+        _mask("turned-right", "turned by 90 degrees to the right", "y -x"),
         *UPRIGHT,
         Hypothesis("cloud-xy-swapped", "x and y of the cloud are exchanged", "y x z"),
         Hypothesis("cloud-yz-swapped", "y and z of the cloud are exchanged", "x z y"),

@@ -122,33 +122,33 @@ def find_move(
         return problem.of_cameras()
     if asked == "pose" or asked == "similarity":
         return problem.placed(asked, keep)
-    given = problem.comparison.missed_unmoved
-    if given < FITS:
-        return unmoved(views, "the cloud fits the contours where it is", given)
+    missed = problem.comparison.missed_unmoved
+    if missed < FITS:
+        return unmoved(views, "the cloud fits the contours where it is", missed)
     # Of size and distance, the distance stays: it is longer than the object, so that a wrong
     # distance is a larger error than a wrong size.
     keep = "distance" if keep == "auto" and not problem.both_found else keep
     fitted = _fitted(problem, keep, asked == "auto")
     stretch = next(cause for cause in fitted if cause.name == "stretch")
-    rivals = [cause for cause in fitted if _explains(cause, given) and _is_simpler(cause, stretch)]
+    rivals = [cause for cause in fitted if _explains(cause, missed, stretch)]
     if not rivals:
-        settled = given < FITS_NEARLY and stretch.missed > LEFT_WITHOUT_MOVING * given
+        settled = missed < FITS_NEARLY and stretch.missed > LEFT_WITHOUT_MOVING * missed
         why = "the cloud fits the contours where it is"
         if not settled:
             why = "no small turn and shift explains the misfit"
             if any(view.truncated for view in views):
                 why = "a picture cuts off the object"
         growth = 0.0 if settled else _growth(problem, stretch.placement)
-        unexplained = replace(unmoved(views, why, given), settled=settled, growth=growth)
-        return replace(unexplained, stretched=stretch.missed)
+        move = unmoved(views, why, missed)
+        return replace(move, settled=settled, growth=growth, stretched=stretch.missed)
     rivals.sort(key=lambda cause: cause.cost)
     likely = [cause for cause in rivals if cause.cost < rivals[0].cost + SIMILAR]
     if not all(cause.of_place for cause in likely):
         why = "something else explains the misfit about as well"
-        return replace(unmoved(views, why, given), causes=tuple(likely))
+        return replace(unmoved(views, why, missed), causes=tuple(likely))
     first = likely[0]
     kind: Moved = "shift" if first.name == "shift" else "pose"
-    result = SearchResult(first.placement, given, first.missed)
+    result = SearchResult(first.placement, missed, first.missed)
     return problem.move(kind, result, problem.freedom(kind, keep)[1])
 
 
@@ -176,19 +176,16 @@ def missed_if_stretched(body: Body, views: Sequence[View]) -> float:
     return float(problem.comparison.missed(placement)[0])
 
 
-def _is_simpler(cause: Cause, stretch: Cause) -> bool:
-    """Whether a cause explains as much as a shape of other proportions.
+def _explains(cause: Cause, before: float, stretch: Cause) -> bool:
+    """Whether hardly anything is left of what the cloud missed ``before``, no more than a stretch
+    leaves.
 
     A thin cloud that is turned looks much like one that is stretched, so a turn has no advantage.
     """
-    return cause.missed <= stretch.missed if cause.of_place else cause.cost <= stretch.cost
-
-
-def _explains(cause: Cause, given: float) -> bool:
-    """Whether nearly nothing is left of what the cloud misses as ``given``."""
     most, share = MOST_LEFT[cause.name]
     likely = bool(np.abs(cause.change / DEVIATIONS).max() <= MOST_DEVIATIONS)
-    return cause.missed < min(most, share * given) and likely and not cause.is_small
+    simple = cause.missed <= stretch.missed if cause.of_place else cause.cost <= stretch.cost
+    return cause.missed < min(most, share * before) and likely and simple and not cause.is_small
 
 
 def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..geometry.arrays import Array, Indices
+from ..geometry.arrays import Array, Floats, Indices
 from ..geometry.points import farthest_point_sample
 from ..geometry.rotations import angle_between, spread
 from ..geometry.view import View
@@ -29,7 +28,7 @@ class _Stage:
 
     side: int  # of the square, cells
     points: int  # of the cloud
-    kept: int  # most placements that are improved
+    count: int  # most placements that are improved
     degrees: float  # a placement within this angle of a better one is dropped
     steps: int
     robust: float  # scale of distances, cells
@@ -43,13 +42,13 @@ class _Stage:
         freedom: Freedom,
     ) -> Placements:
         """The distinct placements of the highest scores [P], drawn to the masks."""
-        placements = placements[distinct(placements.R, score, self.degrees, self.kept)]
+        placements = placements[distinct(placements.R, score, self.degrees, self.count)]
         misfit = NearestMisfit(points[: self.points], targets, self.robust)
         return improve(placements, misfit, freedom, self.steps)[0]
 
 
-COARSE = _Stage(side=32, points=256, kept=48, degrees=20.0, steps=12, robust=6.0)
-FINE = _Stage(side=64, points=512, kept=16, degrees=10.0, steps=20, robust=4.0)
+COARSE = _Stage(side=32, points=256, count=48, degrees=20.0, steps=12, robust=6.0)
+FINE = _Stage(side=64, points=512, count=16, degrees=10.0, steps=20, robust=4.0)
 # Width in cells of the border around the square that collects the points outside.
 BORDER = 2
 # Viewing directions are 16 degrees apart, and in-plane rotations 20 degrees.
@@ -97,24 +96,25 @@ def search_everywhere(
     2. The best 48 distinct ones are improved by distances between nearest neighbours.
     3. The best 16 of them are improved at twice the resolution, and then by their contours.
 
-    ``comparison`` is of the ``points`` [N, 3] and the views.
+    ``comparison`` is of the cloud and the views. ``points`` [N, 3] are those of the cloud that
+    `spread_indices` names.
     """
-    local = spread_points(points)
     coarse = tuple(Target.of(view, COARSE.side) for view in some_views(views, COARSE_VIEWS))
-    placements, score = starts(local[: COARSE.points], coarse, freedom)
-    placements = COARSE.improved(placements, score, local, coarse, freedom)
-    score = closed_iou(local[: FINE.points], placements, coarse, spacing(local[: FINE.points]))
-    by_cells = FINE.improved(placements, score, local, comparison.targets, freedom)
+    placements, score = starts(points[: COARSE.points], coarse, freedom)
+    placements = COARSE.improved(placements, score, points, coarse, freedom)
+    score = closed_iou(points[: FINE.points], placements, coarse, spacing(points[: FINE.points]))
+    by_cells = FINE.improved(placements, score, points, comparison.targets, freedom)
     by_cells = comparison.at_depth(by_cells, freedom)
+    gap = spacing(points)
     placements, value = comparison.settled(by_cells, freedom)
     placements = placements[distinct(placements.R, -value, APART, len(placements))]
     if comparison.missed(placements[:1])[0] > TELLS_PLACE:
         placements = _searched_around(comparison, freedom, placements)
         if comparison.missed(placements[:1])[0] > TELLS_PLACE:
             # The contours of another shape do not tell where it is.
-            iou = closed_iou(local, by_cells, comparison.targets, spacing(local))
+            iou = closed_iou(points, by_cells, comparison.targets, gap)
             placements = by_cells[distinct(by_cells.R, iou, APART, len(by_cells))]
-    iou = closed_iou(local, placements, comparison.targets, spacing(local))
+    iou = closed_iou(points, placements, comparison.targets, gap)
     return Candidates(placements, comparison.missed(placements), iou)
 
 
@@ -252,12 +252,12 @@ def coarse_iou(points: Array, placements: Placements, targets: Sequence[Target])
     return np.mean(ious, 0)
 
 
-def _dilated(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def _dilated(image: Floats) -> Floats:
     """A covered cell also covers its four neighbours, and half of its diagonal ones; at most 1."""
     soft = 2.0 * image
     for axis in (1, 2):
         soft = soft + 0.5 * (np.roll(soft, 1, axis) + np.roll(soft, -1, axis))
-    covered: NDArray[np.float32] = np.minimum(soft, 1.0)
+    covered: Floats = np.minimum(soft, 1.0)
     return covered
 
 
@@ -310,11 +310,6 @@ def spread_indices(points: Array) -> Indices:
     if len(points) > THINNED_POINTS:
         index = np.random.default_rng(0).permutation(len(points))[:THINNED_POINTS]
     return index[farthest_point_sample(points[index], min(SCORED_POINTS, len(index)))]
-
-
-def spread_points(points: Array) -> Array:
-    """The points of `spread_indices`."""
-    return points[spread_indices(points)]
 
 
 def spacing(points: Array) -> float:

@@ -185,7 +185,8 @@ def fit_camera(
     view = View(pixels, camera, known, name)
     freedom = Freedom.of(Placements.unmoved(), *unknowns, deviation=deviations)
     comparison = Comparison.of(normalised, [view])
-    candidates = search_everywhere(comparison, normalised, [view], freedom)
+    index = spread_indices(normalised)
+    candidates = search_everywhere(comparison, normalised[index], [view], freedom)
     likeness = np.zeros(len(candidates.missed))
     paint = None if colours is None else np.asarray(colours, np.float64)
     if image is not None and paint is not None:
@@ -193,7 +194,7 @@ def fit_camera(
         likeness = appearance(normalised, paint, candidates.placements, photo)
         order = _order_by_photo(candidates, likeness)
         candidates, likeness = candidates[order], likeness[order]
-    R, index = candidates.placements.R, spread_indices(normalised)
+    R = candidates.placements.R
     degrees = angle_between(R, R[0])
     cameras = [
         _camera(camera, candidates.placements[i : i + 1], centre, unit) for i in range(len(R))

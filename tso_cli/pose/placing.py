@@ -17,7 +17,7 @@ from .everywhere import (
     search_everywhere,
     size_of_object,
     spacing,
-    spread_points,
+    spread_indices,
     unlike_first,
 )
 from .levenberg import Freedom
@@ -113,7 +113,7 @@ class Placing:
     @cached_property
     def spread(self) -> Array:
         """Points of the cloud that are spread evenly."""
-        return spread_points(self.points)
+        return self.points[spread_indices(self.points)]
 
     @cached_property
     def both_found(self) -> bool:
@@ -124,13 +124,13 @@ class Placing:
         """What may change, and what stays of size and distance, where only one of them can."""
         unit = np.eye(UNKNOWNS)
         shift, turn, size = unit[:, SHIFT], unit[:, TURN], unit[:, [SIZE]]
-        kept: Keep | None = None if self.both_found else keep
-        if kept == "auto":
-            kept = "distance" if kind in ("similarity", "shift") else "size"
-        if kept == "distance":
+        fixed: Keep | None = None if self.both_found else keep
+        if fixed == "auto":
+            fixed = "distance" if kind in ("similarity", "shift") else "size"
+        if fixed == "distance":
             shift = shift @ self.normalised[0].camera.R[:2].T
         columns = [shift] if kind == "shift" else [turn, shift]
-        if kind == "similarity" and kept != "size":
+        if kind == "similarity" and fixed != "size":
             columns.append(size)
         given = Placements.unmoved()
         freedom = Freedom(np.concatenate(columns, 1), given, GIVEN_ERROR)
@@ -138,7 +138,7 @@ class Placing:
         # A cloud in other units than the depth map.
         if abs(np.log(of_depth.size[0])) > MOST_DEVIATIONS * GIVEN_ERROR[SIZE]:
             freedom = replace(freedom, given=of_depth)
-        return freedom, kept
+        return freedom, fixed
 
     @property
     def outline_error(self) -> float:
@@ -159,16 +159,16 @@ class Placing:
             if abs(np.log(times)) > np.log(OTHER_UNITS):
                 in_units = Placing(self.body, self.views, self.unit * times)
                 return in_units.anywhere(*in_units.freedom(kind, keep), kind)
-        freedom, kept = self.freedom(kind, keep)
+        freedom, fixed = self.freedom(kind, keep)
         if not self.in_front:
-            return self.anywhere(freedom, kept, kind)
+            return self.anywhere(freedom, fixed, kind)
         near = place_from(self.comparison, freedom)
         if near.placement is freedom.given and freedom.given.size[0] == 1.0:
             return unmoved(self.views, "no other place fits much better", near.missed_before)
-        move = self.move(kind, near, kept)
+        move = self.move(kind, near, fixed)
         if near.fits:
             return move
-        elsewhere = self.anywhere(freedom, kept, kind)
+        elsewhere = self.anywhere(freedom, fixed, kind)
         better = elsewhere.explains and elsewhere.missed < move.missed
         return elsewhere if better or not self.meets_masks else move
 
@@ -189,38 +189,38 @@ class Placing:
         overlap = closed_iou(self.spread, Placements.unmoved(), self.comparison.targets, gap)
         return bool(overlap[0] >= LEAST_OVERLAP)
 
-    def anywhere(self, freedom: Freedom, kept: Keep | None, kind: Moved) -> Move:
+    def anywhere(self, freedom: Freedom, fixed: Keep | None, kind: Moved) -> Move:
         """The best of all directions, and the others that are no symmetry of the cloud."""
-        if kind == "pose" and kept == "distance":
+        if kind == "pose" and fixed == "distance":
             # Neither size nor distance could change: in another direction it would not fit.
-            freedom, kept = self.freedom(kind, "size")
+            freedom, fixed = self.freedom(kind, "size")
         before = float(self.comparison.missed(freedom.given)[0])
         free = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
-        candidates = search_everywhere(self.comparison, self.points, self.normalised, free)
+        candidates = search_everywhere(self.comparison, self.spread, self.normalised, free)
         placements = candidates.placements
-        if kept is not None and kind == "similarity":
-            placements, kept = self._as_kept(placements, kept)
+        if fixed is not None and kind == "similarity":
+            placements, fixed = self._with_fixed(placements, fixed)
         results = [
             SearchResult(placements[i : i + 1], before, float(candidates.missed[i]))
             for i in (0, *unlike_first(self.spread, placements.R))
         ]
-        best, *others = (self.move(kind, result, kept) for result in results)
+        best, *others = (self.move(kind, result, fixed) for result in results)
         alternatives = tuple((other.missed, other.matrix) for other in others)
         return replace(best, alternatives=alternatives, why_unsure=_why_unsure(best, others))
 
-    def _as_kept(self, placements: Placements, kept: Keep) -> tuple[Placements, Keep]:
+    def _with_fixed(self, placements: Placements, fixed: Keep) -> tuple[Placements, Keep]:
         """The placements, scaled about the one camera so that the distance or the size stays.
 
         The size stays also if a part of the cloud was given behind the camera.
         """
         camera = self.normalised[0].camera
         if camera.model == "orthographic":
-            return placements, kept
-        if kept == "distance" and self.in_front:
+            return placements, fixed
+        if fixed == "distance" and self.in_front:
             factor = camera.t[2] / (placements.t @ camera.R[2] + camera.t[2])
         else:
-            kept, factor = "size", 1.0 / placements.size
-        return placements.scaled_about(camera.position, factor), kept
+            fixed, factor = "size", 1.0 / placements.size
+        return placements.scaled_about(camera.position, factor), fixed
 
     def of_cameras(self) -> Move:
         """Each camera moves by itself."""
@@ -238,7 +238,7 @@ class Placing:
             explains=all(move.explains for move in moves),
         )
 
-    def move(self, kind: Moved, result: SearchResult, kept: Keep | None) -> Move:
+    def move(self, kind: Moved, result: SearchResult, fixed: Keep | None) -> Move:
         """The move of that kind to the one placement of a search."""
         placement, centre = result.placement, self.body.centre
         # The product of many small rotations is a rotation only up to rounding.
@@ -250,4 +250,4 @@ class Placing:
             matrix[:3, :3], matrix[:3, 3] = size * R, t
         views = tuple(view.before_placed(R, t, size) for view in self.views)
         missed_before, missed = result.missed_before, result.missed
-        return Move(kind, views, matrix, missed_before, missed, result.explains, kept)
+        return Move(kind, views, matrix, missed_before, missed, result.explains, fixed)
