@@ -74,7 +74,7 @@ def normal_blocks(points: Array, view: ViewTarget) -> Array:
     owner = candidates[nearest(cells, px[candidates])]
     squared = np.square(px[owner] - cells).sum(1) * scale**2
     _, slope = robust(squared, ROBUST_SCALE)
-    of_points = np.bincount(owner, view.weight * scale * slope, len(points))
+    of_points = np.bincount(owner, view.weight * scale * slope, len(points)).astype(np.float64)
     for axis in scale * np.eye(2):
         row = projected.pull_back(np.tile(axis, (len(points), 1)))
         blocks += of_points[:, None, None] * row[:, :, None] * row[:, None]
@@ -98,4 +98,5 @@ def _of_depth(points: Array, candidates: Indices, target: DepthTarget) -> Array:
     per_unit = np.square(target.per_unit)
     squared = np.square(points[owner] - target.surface).sum(1) * per_unit
     _, slope = robust(squared, ROBUST_SCALE)
-    return np.bincount(owner, target.pixel_area * slope * per_unit, len(points))
+    weight = target.pixel_area * slope * per_unit
+    return np.bincount(owner, weight, len(points)).astype(np.float64)

@@ -45,7 +45,6 @@ class Hypothesis:
     camera : the camera that is meant, from the camera as it was read.
     picture : the x and y of the picture that is meant, in the axes of the mask as it was read.
     inverted : whether foreground and background of the mask are exchanged.
-    applies : whether it may hold for a camera as it was read.
     """
 
     name: str
@@ -54,7 +53,6 @@ class Hypothesis:
     camera: CameraChange = _as_read
     picture: str = "x y"
     inverted: bool = False
-    applies: Callable[[Camera], bool] = lambda camera: True
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Hypothesis) and other.name == self.name
@@ -84,6 +82,13 @@ class Hypothesis:
         """Whether the cloud is turned, so that it has other extents in the picture."""
         return self.axes != "x y z"
 
+    def applies(self, camera: Camera) -> bool:
+        """Whether it may hold for a ``camera`` as it was read."""
+        if self in FOCAL_UNITS:
+            return not focal_in_pixels(camera)
+        # A picture that is turned by a right angle has the same size only if it is square.
+        return self.picture not in ("-y x", "y -x") or camera.width == camera.height
+
     @cached_property
     def matrix(self) -> Array:
         """[3, 3], from points of the cloud to points of the scene; orthogonal."""
@@ -108,9 +113,8 @@ def _unit(factor: float) -> CameraChange:
     """The cloud's unit is ``factor`` times the camera's unit."""
 
     def in_units_of_cloud(camera: Camera) -> Camera:
-        K = camera.K
-        if camera.model == "orthographic":
-            K = K @ np.diag([factor, factor, 1.0])
+        flat = camera.model == "orthographic"
+        K = camera.K @ np.diag([factor, factor, 1.0]) if flat else camera.K
         return replace(camera, K=K, t=camera.t / factor)
 
     return in_units_of_cloud
@@ -125,13 +129,8 @@ def _of_ndc(camera: Camera) -> Camera:
 
 def _focal(factor: Callable[[Camera], float]) -> CameraChange:
     """The focal length is multiplied by ``factor``."""
-
-    def changed(camera: Camera) -> Camera:
-        K = camera.K.copy()
-        K[[0, 1, 0], [0, 1, 1]] *= factor(camera)
-        return replace(camera, K=K)
-
-    return changed
+    entries = np.array([[1, 1, 0], [0, 1, 0], [0, 0, 0]], bool)
+    return lambda camera: replace(camera, K=camera.K * np.where(entries, factor(camera), 1.0))
 
 
 def _of_degrees(camera: Camera) -> float:
@@ -139,21 +138,8 @@ def _of_degrees(camera: Camera) -> float:
     return camera.width / 2.0 / np.tan(np.radians(degrees / 2.0)) / float(camera.K[0, 0])
 
 
-def _principal_point_swapped(camera: Camera) -> Camera:
-    K = camera.K.copy()
-    K[:2, 2] = K[1::-1, 2]
-    return replace(camera, K=K)
-
-
 def _mask(name: str, says: str, picture: str) -> Hypothesis:
-    turned = picture in ("-y x", "y -x")
-    return Hypothesis(
-        f"mask-{name}",
-        f"the mask is {says}",
-        picture=picture,
-        # A picture that is turned by a right angle keeps its size only if it is square.
-        applies=lambda camera: not turned or camera.width == camera.height,
-    )
+    return Hypothesis(f"mask-{name}", f"the mask is {says}", picture=picture)
 
 
 def _units(what: str, unit: str, metres: float) -> Hypothesis:
@@ -164,10 +150,6 @@ def _units(what: str, unit: str, metres: float) -> Hypothesis:
 
 def _size(name: str, says: str, factor: float) -> Hypothesis:
     return Hypothesis(f"cloud-{name}", f"the cloud is {says}", camera=_unit(factor))
-
-
-def _focal_unit(name: str, says: str, camera: CameraChange) -> Hypothesis:
-    return Hypothesis(name, says, camera=camera, applies=lambda read: not focal_in_pixels(read))
 
 
 _OPENGL, _X_LEFT = _axes(1.0, -1.0, -1.0), _axes(-1.0, -1.0, 1.0)
@@ -199,25 +181,27 @@ UPRIGHT = (
     Hypothesis("cloud-upside-down", "the cloud is upside down", "x -y -z"),
 )
 FOCAL_UNITS = (
-    _focal_unit(
+    Hypothesis(
         "K-normalised",
         "K is in shares of the width and height",
         # Pixel centres are at halves, as MoGe's.
-        lambda camera: replace(camera, K=from_shares(camera.K, camera.width, camera.height)),
+        camera=lambda camera: replace(camera, K=from_shares(camera.K, camera.width, camera.height)),
     ),
-    _focal_unit("K-ndc", "K is in normalised device coordinates, as PyTorch3D's", _of_ndc),
-    _focal_unit(
+    Hypothesis("K-ndc", "K is in normalised device coordinates, as PyTorch3D's", camera=_of_ndc),
+    Hypothesis(
         "focal-mm-36",
         f"{_MM.format(36)} (focal-mm-32: 32 mm)",
-        _focal(lambda camera: camera.width / 36.0),
+        camera=_focal(lambda camera: camera.width / 36.0),
     ),
-    _focal_unit(
-        "focal-mm-32", f"{_MM.format(32)}, as Pix3D's", _focal(lambda camera: camera.width / 32.0)
+    Hypothesis(
+        "focal-mm-32",
+        f"{_MM.format(32)}, as Pix3D's",
+        camera=_focal(lambda camera: camera.width / 32.0),
     ),
-    _focal_unit(
+    Hypothesis(
         "focal-degrees",
         "the focal length is the horizontal field of view in degrees",
-        _focal(_of_degrees),
+        camera=_focal(_of_degrees),
     ),
 )
 HYPOTHESES = {
@@ -251,7 +235,9 @@ HYPOTHESES = {
         Hypothesis(
             "principal-point-swapped",
             "x and y of the principal point are exchanged",
-            camera=_principal_point_swapped,
+            camera=lambda camera: replace(
+                camera, K=np.column_stack([camera.K[:, :2], camera.K[[1, 0, 2], 2]])
+            ),
         ),
     )
 }

@@ -73,7 +73,7 @@ def views_under(
     hypothesis: Finding, read: Sequence[View], given: Sequence[Assumption]
 ) -> list[View]:
     """The views as they are meant if a hypothesis is right."""
-    assumed = [one for one in given if one != hypothesis.without]
+    assumed = [assumption for assumption in given if assumption != hypothesis.without]
     if not hypothesis.without:
         assumed += map(Assumption, hypothesis.hypotheses)
     views = [as_meant(view, assumed) for view in read]

@@ -109,23 +109,17 @@ def search_everywhere(
     placements, value = comparison.settled(by_cells, freedom)
     placements = placements[distinct(placements.R, -value, APART, len(placements))]
     if comparison.missed(placements[:1])[0] > TELLS_PLACE:
-        placements = _searched_around(comparison, freedom, placements)
+        # The best are searched from many starts around each.
+        few = min(AROUND, len(placements))
+        around = [search_from(comparison, freedom, placements[i : i + 1]) for i in range(few)]
+        around.sort(key=lambda result: result.missed)
+        placements = Placements.joined([*(result.placement for result in around), placements[few:]])
         if comparison.missed(placements[:1])[0] > TELLS_PLACE:
             # The contours of another shape do not tell where it is.
             iou = closed_iou(points, by_cells, comparison.targets, gap)
             placements = by_cells[distinct(by_cells.R, iou, APART, len(by_cells))]
     iou = closed_iou(points, placements, comparison.targets, gap)
     return Candidates(placements, comparison.missed(placements), iou)
-
-
-def _searched_around(
-    comparison: Comparison, freedom: Freedom, placements: Placements
-) -> Placements:
-    """The best placements, searched from many starts around each, and then the rest."""
-    few = min(AROUND, len(placements))
-    results = [search_from(comparison, freedom, placements[i : i + 1]) for i in range(few)]
-    results.sort(key=lambda result: result.missed)
-    return Placements.joined([*(result.placement for result in results), placements[few:]])
 
 
 def starts(points: Array, targets: Sequence[Target], freedom: Freedom) -> tuple[Placements, Array]:

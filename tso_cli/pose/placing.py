@@ -169,8 +169,12 @@ class Placing:
         if near.fits:
             return move
         elsewhere = self.anywhere(freedom, fixed, kind)
-        better = elsewhere.explains and elsewhere.missed < move.missed
-        return elsewhere if better or not self.meets_masks else move
+        if elsewhere.explains and elsewhere.missed < move.missed:
+            return elsewhere
+        # Whether the cloud says something about its place where it was given.
+        points, targets = self.spread, self.comparison.targets
+        overlap = closed_iou(points, Placements.unmoved(), targets, spacing(points))
+        return move if overlap[0] >= LEAST_OVERLAP else elsewhere
 
     @cached_property
     def in_front(self) -> bool:
@@ -181,13 +185,6 @@ class Placing:
             or target.project(self.points, given).depth.min() > 0.0
             for target in self.comparison.targets
         )
-
-    @property
-    def meets_masks(self) -> bool:
-        """Whether the cloud says something about its place where it was given."""
-        gap = spacing(self.spread)
-        overlap = closed_iou(self.spread, Placements.unmoved(), self.comparison.targets, gap)
-        return bool(overlap[0] >= LEAST_OVERLAP)
 
     def anywhere(self, freedom: Freedom, fixed: Keep | None, kind: Moved) -> Move:
         """The best of all directions, and the others that are no symmetry of the cloud."""
