@@ -16,9 +16,9 @@ from .placement import Placement
 # A mask with fewer pixels, in all and along its longer side, is coarse.
 FEWEST_PIXELS = 16
 # A mask that fills this share of its bounding box is probably a detector's box, unless the cloud
-# fills this share of the cells of its own. That has so many cells along its longer side, without
-# this share of the points at each side. Fewer points show no box, as do fewer pixels across than
-# `FEWEST_PIXELS`.
+# fills this share of the cells of its own box. That has this number of cells along its longer side,
+# and leaves out this share of the points at each side. Fewer points show no box, as do fewer pixels
+# across than `FEWEST_PIXELS`.
 MASK_FILLED, CLOUD_FILLED = 0.99, 0.92
 BOX_CELLS, BOX_TAILS, FEWEST_POINTS = 10, 0.01, 512
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..geometry.arrays import Array
 from ..geometry.view import View
-from .asked import Asked, Keep, Moved
+from . import Asked, Keep, Moved
 from .levenberg import Freedom
 from .move import FITS, FITS_NEARLY, Body, Move, unmoved
 from .placement import ASPECT, FOCAL, GROWTH, PRINCIPAL, UNKNOWNS, Placements

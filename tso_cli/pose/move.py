@@ -15,7 +15,7 @@ import numpy as np
 from ..geometry.arrays import Array
 from ..geometry.rotations import to_vectors
 from ..geometry.view import View
-from .asked import Keep, Moved
+from . import Keep, Moved
 
 if TYPE_CHECKING:
     from .causes import Cause

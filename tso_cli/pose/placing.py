@@ -11,7 +11,7 @@ import numpy as np
 from ..geometry.arrays import Array
 from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
-from .asked import Keep, Moved
+from . import Keep, Moved
 from .everywhere import (
     closed_iou,
     search_everywhere,
@@ -157,18 +157,17 @@ class Placing:
         if kind == "similarity" and len(self.views) > 1:
             times = size_of_object(self.comparison.targets)
             if abs(np.log(times)) > np.log(OTHER_UNITS):
-                in_units = Placing(self.body, self.views, self.unit * times)
-                return in_units.anywhere(*in_units.freedom(kind, keep), kind)
-        freedom, fixed = self.freedom(kind, keep)
+                return Placing(self.body, self.views, self.unit * times).anywhere(kind, keep)
         if not self.in_front:
-            return self.anywhere(freedom, fixed, kind)
+            return self.anywhere(kind, keep)
+        freedom, fixed = self.freedom(kind, keep)
         near = place_from(self.comparison, freedom)
         if near.placement is freedom.given and freedom.given.size[0] == 1.0:
             return unmoved(self.views, "no other place fits much better", near.missed_before)
         move = self.move(kind, near, fixed)
         if near.fits:
             return move
-        elsewhere = self.anywhere(freedom, fixed, kind)
+        elsewhere = self.anywhere(kind, keep)
         if elsewhere.explains and elsewhere.missed < move.missed:
             return elsewhere
         # Whether the cloud says something about its place where it was given.
@@ -186,8 +185,9 @@ class Placing:
             for target in self.comparison.targets
         )
 
-    def anywhere(self, freedom: Freedom, fixed: Keep | None, kind: Moved) -> Move:
+    def anywhere(self, kind: Moved, keep: Keep) -> Move:
         """The best of all directions, and the others that are no symmetry of the cloud."""
+        freedom, fixed = self.freedom(kind, keep)
         if kind == "pose" and fixed == "distance":
             # Neither size nor distance could change: in another direction it would not fit.
             freedom, fixed = self.freedom(kind, "size")

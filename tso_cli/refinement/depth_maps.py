@@ -16,7 +16,7 @@ from ..optimisation.config import Settings
 from ..optimisation.learned_start import beginning
 from ..optimisation.optimise import weigh
 from ..optimisation.problem import prepare
-from ..pose.asked import Asked
+from ..pose import Asked
 from ..pose.move import Move
 from ..prior import LearnedPrior, named_prior
 from .clock import Clock
