@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -67,27 +67,19 @@ class Candidates:
     of_views: tuple[Finding, ...] = ()
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """The given assumptions with ``changed`` left out (``without``), or with ``changed`` added."""
-
-    assumptions: tuple[Assumption, ...]
-    changed: tuple[Assumption, ...] = ()
-    without: bool = False
-
-
 class Table:
-    """The IoU of each candidate [C] with each view [V]; candidate 0 is the input as given.
+    """The IoU of each of C candidates with each view: [1 + C + 1, V].
 
-    The last row is of the input as given, if the box of the cloud were that of the mask.
+    The first row is of the input as given, and so is the last, if the box of the cloud were that of
+    the mask.
     """
 
     def __init__(
         self, points: Array, outlines: Sequence[Outline], given: Sequence[Assumption]
     ) -> None:
         cameras = [outline.view.camera for outline in outlines]
-        self.candidates = list(_candidates(tuple(given), cameras))
-        options = [candidate.assumptions for candidate in self.candidates]
+        self.candidates = list(_candidates(given, cameras))
+        options = [given, *(candidate.assumed(given) for candidate in self.candidates)]
         self.ious = np.stack([outline.ious(points, options) for outline in outlines], axis=1)
 
     def likely(self, views: Sequence[int], of_cloud: bool = True) -> list[Finding]:
@@ -99,14 +91,13 @@ class Table:
         least = max(before + GAIN, LEAST_IOU)
         if_turned = max(least, stretched - BELOW_STRETCHED)
         findings: list[Finding] = []
-        for score, candidate in zip(scores, self.candidates[1:], strict=True):
-            hypotheses = [assumption.hypothesis for assumption in candidate.changed]
+        for score, candidate in zip(scores, self.candidates, strict=True):
+            hypotheses = candidate.hypotheses
             turns = any(hypothesis.turns for hypothesis in hypotheses)
             about_cloud = any(hypothesis.of_cloud for hypothesis in hypotheses)
             if score >= (if_turned if turns else least) and (of_cloud or not about_cloud):
-                name = "+".join(hypothesis.name for hypothesis in hypotheses)
-                left_out = candidate.changed[0] if candidate.without else None
-                findings.append(Finding(name, tuple(views), score, score - before, left_out))
+                gain = score - before
+                findings.append(replace(candidate, views=tuple(views), score=score, gain=gain))
         findings.sort(key=lambda finding: -finding.score)
         least = max((finding.score for finding in findings), default=0.0) - SIMILAR
         simpler = [finding for finding in findings if finding.without and finding.score >= least]
@@ -136,11 +127,9 @@ def explain(
     return Candidates(tuple(pairs), tuple(of_input), tuple(_of_views(table, telling)))
 
 
-def _candidates(given: tuple[Assumption, ...], cameras: Sequence[Camera]) -> Iterator[Candidate]:
-    yield Candidate(given)
+def _candidates(given: Sequence[Assumption], cameras: Sequence[Camera]) -> Iterator[Finding]:
     for assumption in given:
-        rest = tuple(other for other in given if other is not assumption)
-        yield Candidate(rest, (assumption,), without=True)
+        yield Finding(assumption.hypothesis.name, without=assumption)
     single = [
         hypothesis for hypothesis in HYPOTHESES.values() if all(map(hypothesis.applies, cameras))
     ]
@@ -150,9 +139,8 @@ def _candidates(given: tuple[Assumption, ...], cameras: Sequence[Camera]) -> Ite
     if not any(map(focal_in_pixels, cameras)):
         pairs += product(FOCAL_UNITS, OF_AXES)
     for hypotheses in (*product(single), *pairs):
-        changed = tuple(map(Assumption, hypotheses))
-        if not set(changed) & set(given):
-            yield Candidate((*given, *changed), changed)
+        if not set(map(Assumption, hypotheses)) & set(given):
+            yield Finding("+".join(hypothesis.name for hypothesis in hypotheses))
 
 
 def _widths(cameras: Sequence[Camera]) -> list[tuple[int, ...]]:

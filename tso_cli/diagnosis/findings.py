@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from .assumptions import Assumption
@@ -114,6 +114,12 @@ class Finding:
     def hypotheses(self) -> tuple[Hypothesis, ...]:
         """What is right if the finding is; () of a symptom."""
         return tuple(filter(None, map(hypothesis_called, self.name.split("+"))))
+
+    def assumed(self, given: Iterable[Assumption]) -> list[Assumption]:
+        """What is assumed if the finding is right, where the ``given`` assumptions were."""
+        if self.without:
+            return [assumption for assumption in given if assumption != self.without]
+        return [*given, *map(Assumption, self.hypotheses)]
 
     @property
     def says(self) -> str:

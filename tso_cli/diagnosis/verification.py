@@ -73,10 +73,7 @@ def views_under(
     hypothesis: Finding, read: Sequence[View], given: Sequence[Assumption]
 ) -> list[View]:
     """The views as they are meant if a hypothesis is right."""
-    assumed = [assumption for assumption in given if assumption != hypothesis.without]
-    if not hypothesis.without:
-        assumed += map(Assumption, hypothesis.hypotheses)
-    views = [as_meant(view, assumed) for view in read]
+    views = [as_meant(view, hypothesis.assumed(given)) for view in read]
     paired = dict(closed(hypothesis.pairs))
     return [
         replace(view, camera=views[paired.get(number, number)].camera)

@@ -67,17 +67,13 @@ class Cause:
     """Something that may be wrong.
 
     unknowns : how many numbers were fitted. missed : share of the contours that the cloud misses if
-    this is mended. placement : how cloud, cameras and masks are then. across, picture : longer
-    sides of the object and of the picture, pixels. error : how exactly masks show outlines, pixels.
+    this is mended. placement : how cloud, cameras and masks are then.
     """
 
     name: Name
     unknowns: int
     missed: float
     placement: Placements
-    across: float
-    picture: float
-    error: float
 
     @property
     def cost(self) -> float:
@@ -93,17 +89,6 @@ class Cause:
         """[17], the unknowns, counted from what was given."""
         change: Array = self.placement.since(Placements.unmoved())[0]
         return change
-
-    @property
-    def is_small(self) -> bool:
-        """Whether a right camera or mask may be as far off."""
-        if self.of_place:
-            return False
-        change = np.abs(self.change)
-        of_lens = float(change[FOCAL] + change[ASPECT]) * self.across / 2.0
-        of_camera = of_lens + float(np.linalg.norm(change[PRINCIPAL])) * self.picture
-        least = LEAST_ERRORS * self.error
-        return change[GROWTH] < least and of_camera < max(least, LEAST_MOVED * self.across)
 
 
 def find_move(
@@ -130,7 +115,11 @@ def find_move(
     keep = "distance" if keep == "auto" and not problem.both_found else keep
     fitted = _fitted(problem, keep, asked == "auto")
     stretch = next(cause for cause in fitted if cause.name == "stretch")
-    rivals = [cause for cause in fitted if _explains(cause, missed, stretch)]
+    rivals = [
+        cause
+        for cause in fitted
+        if _explains(cause, missed, stretch) and not _is_small(cause, problem)
+    ]
     if not rivals:
         settled = missed < FITS_NEARLY and stretch.missed > LEFT_WITHOUT_MOVING * missed
         why = "the cloud fits the contours where it is"
@@ -185,7 +174,20 @@ def _explains(cause: Cause, before: float, stretch: Cause) -> bool:
     most, share = MOST_LEFT[cause.name]
     likely = bool(np.abs(cause.change / DEVIATIONS).max() <= MOST_DEVIATIONS)
     simple = cause.missed <= stretch.missed if cause.of_place else cause.cost <= stretch.cost
-    return cause.missed < min(most, share * before) and likely and simple and not cause.is_small
+    return cause.missed < min(most, share * before) and likely and simple
+
+
+def _is_small(cause: Cause, problem: Placing) -> bool:
+    """Whether a right camera or mask may be as far off."""
+    if cause.of_place:
+        return False
+    change, target = np.abs(cause.change), problem.comparison.targets[0]
+    # Longer sides of the object and of the picture, pixels.
+    across, picture = SIDE / MARGIN / target.pixel, target.picture / target.pixel
+    of_lens = float(change[FOCAL] + change[ASPECT]) * across / 2.0
+    of_camera = of_lens + float(np.linalg.norm(change[PRINCIPAL])) * picture
+    least = LEAST_ERRORS * problem.outline_error
+    return bool(change[GROWTH] < least) and of_camera < max(least, LEAST_MOVED * across)
 
 
 def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:
@@ -217,17 +219,9 @@ def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:
         step[numbers["principal-point"], PRINCIPAL] = _shift_of_boxes(problem)
     start = Placements.unmoved(len(bases)).stepped(step)
     placements, _ = comparison.settled(start, freedom, from_afar=True)
-    missed, target = comparison.missed(placements), comparison.targets[0]
+    missed = comparison.missed(placements)
     return [
-        Cause(
-            name,
-            unknowns=bases[name].shape[1],
-            missed=float(missed[i]),
-            placement=placements[i : i + 1],
-            across=SIDE / MARGIN / target.pixel,
-            picture=target.picture / target.pixel,
-            error=problem.outline_error,
-        )
+        Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1])
         for name, i in numbers.items()
     ]
 
