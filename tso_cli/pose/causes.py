@@ -112,14 +112,10 @@ def find_move(
         return unmoved(views, "the cloud fits the contours where it is", missed)
     # Of size and distance, the distance stays: it is longer than the object, so that a wrong
     # distance is a larger error than a wrong size.
-    keep = "distance" if keep == "auto" and not problem.both_found else keep
+    keep = "distance" if keep == "auto" and not problem.tells_size else keep
     fitted = _fitted(problem, keep, asked == "auto")
     stretch = next(cause for cause in fitted if cause.name == "stretch")
-    rivals = [
-        cause
-        for cause in fitted
-        if _explains(cause, missed, stretch) and not _is_small(cause, problem)
-    ]
+    rivals = [cause for cause in fitted if _explains(cause, stretch, problem)]
     if not rivals:
         settled = missed < FITS_NEARLY and stretch.missed > LEFT_WITHOUT_MOVING * missed
         why = "the cloud fits the contours where it is"
@@ -165,29 +161,25 @@ def missed_if_stretched(body: Body, views: Sequence[View]) -> float:
     return float(problem.comparison.missed(placement)[0])
 
 
-def _explains(cause: Cause, before: float, stretch: Cause) -> bool:
-    """Whether hardly anything is left of what the cloud missed ``before``, no more than a stretch
-    leaves.
+def _explains(cause: Cause, stretch: Cause, problem: Placing) -> bool:
+    """Whether a cause leaves hardly anything of what the cloud misses, no more than a stretch does.
 
     A thin cloud that is turned looks much like one that is stretched, so a turn has no advantage.
     """
     most, share = MOST_LEFT[cause.name]
     likely = bool(np.abs(cause.change / DEVIATIONS).max() <= MOST_DEVIATIONS)
-    simple = cause.missed <= stretch.missed if cause.of_place else cause.cost <= stretch.cost
-    return cause.missed < min(most, share * before) and likely and simple
-
-
-def _is_small(cause: Cause, problem: Placing) -> bool:
-    """Whether a right camera or mask may be as far off."""
-    if cause.of_place:
+    if cause.missed >= min(most, share * problem.comparison.missed_unmoved) or not likely:
         return False
+    if cause.of_place:
+        return cause.missed <= stretch.missed
+    # A right camera or mask may be off by a small change. Longer sides of object and picture, px:
     change, target = np.abs(cause.change), problem.comparison.targets[0]
-    # Longer sides of the object and of the picture, pixels.
     across, picture = SIDE / MARGIN / target.pixel, target.picture / target.pixel
     of_lens = float(change[FOCAL] + change[ASPECT]) * across / 2.0
     of_camera = of_lens + float(np.linalg.norm(change[PRINCIPAL])) * picture
     least = LEAST_ERRORS * problem.outline_error
-    return bool(change[GROWTH] < least) and of_camera < max(least, LEAST_MOVED * across)
+    is_small = change[GROWTH] < least and of_camera < max(least, LEAST_MOVED * across)
+    return cause.cost <= stretch.cost and not is_small
 
 
 def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:

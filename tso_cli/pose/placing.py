@@ -116,7 +116,7 @@ class Placing:
         return self.points[spread_indices(self.points)]
 
     @cached_property
-    def both_found(self) -> bool:
+    def tells_size(self) -> bool:
         """Whether the views can separate the size of a cloud from its distance."""
         return len(self.views) > 1 or bool(self.comparison.surfaces)
 
@@ -124,7 +124,7 @@ class Placing:
         """What may change, and what stays of size and distance, where only one of them can."""
         unit = np.eye(UNKNOWNS)
         shift, turn, size = unit[:, SHIFT], unit[:, TURN], unit[:, [SIZE]]
-        fixed: Keep | None = None if self.both_found else keep
+        fixed: Keep | None = None if self.tells_size else keep
         if fixed == "auto":
             fixed = "distance" if kind in ("similarity", "shift") else "size"
         if fixed == "distance":
