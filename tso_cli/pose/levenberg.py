@@ -41,7 +41,7 @@ class System(OfPlacements):
 
     def __add__(self, other: System) -> System:
         pairs = zip(self.arrays().values(), other.arrays().values(), strict=True)
-        return System(*(mine + added for mine, added in pairs))
+        return System(*(first + second for first, second in pairs))
 
     def __rmul__(self, factor: float) -> System:
         return System(*(factor * array for array in self.arrays().values()))

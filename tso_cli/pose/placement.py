@@ -36,7 +36,7 @@ STRAINS = (
 """[5, 3, 3], symmetric, without a trace and orthonormal: how a cloud stretches for each unknown."""
 
 Rows = NDArray[np.generic] | slice
-Kind = TypeVar("Kind", bound="OfPlacements")
+Same = TypeVar("Same", bound="OfPlacements")
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +47,10 @@ class OfPlacements:
         """By name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
-    def __getitem__(self: Kind, rows: Rows) -> Kind:
+    def __getitem__(self: Same, rows: Rows) -> Same:
         return replace(self, **{name: array[rows] for name, array in self.arrays().items()})
 
-    def replaced(self: Kind, rows: Rows, other: Kind) -> Kind:
+    def replaced(self: Same, rows: Rows, other: Same) -> Same:
         """The same with other ``rows``."""
         copies = {name: array.copy() for name, array in self.arrays().items()}
         for name, array in other.arrays().items():
