@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from tso_cli import Camera, RefineConfig, refine
-from tso_cli.evaluation.footprint import IOU_MEANS, window_iou
+from tso_cli.evaluation.footprint import IOU_MEANS, Solid, window_iou
 from tso_cli.geometry.view import View
 from tso_cli.io.cameras import CameraRecord, read_cameras, write_cameras
 from tso_cli.io.clouds import read_cloud, write_cloud
@@ -137,7 +137,7 @@ def prepare(photos: Path, folder: Path) -> None:
 
 def judged(points: Array, views: list[View]) -> dict[str, float]:
     """IoU of a cloud's silhouette and the masks, and the share of its points outside a mask."""
-    scores = [window_iou(points, view) for view in views]
+    scores = [window_iou(Solid(points), view) for view in views]
     outside = [float((~inside(points, view)).mean()) for view in views]
     return {
         "iou": float(np.mean(scores)),

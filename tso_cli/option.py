@@ -133,7 +133,7 @@ class Declared(NamedTuple):
         if self.plain in (int, float):
             whole = isinstance(value, Integral if self.plain is int else Real)
             return whole and not isinstance(value, bool) and _is_within(value, self.option)
-        return True
+        return self.plain is not str or isinstance(value, str)
 
 
 def _is_within(value: Any, option: Option) -> bool:

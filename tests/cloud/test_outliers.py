@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -65,6 +66,7 @@ def test_no_point_of_the_examples_is_an_outlier():
     st.lists(st.tuples(*[st.floats(-1.0, 1.0, width=32)] * 3), min_size=1, max_size=60),
     st.floats(0.01, 100.0),
 )
+@hypothesis.example([(0, 0, 1), (0, 0, -1), (0, 1, 0.25), (0, -1, 0), (1, 0, 0)], 1.0)
 def test_outliers_do_not_depend_on_the_unit_and_are_a_quarter_at_most(rows, scale):
     points = np.array(rows)
     found = find_outliers(points)
@@ -80,7 +82,7 @@ def test_control_points_keep_their_colours_and_outliers_have_none():
     np.testing.assert_allclose(cloud.colours, colours[:100], atol=1e-6)
 
 
-def test_points_in_one_place_far_away_are_find_outliers():
+def test_points_in_one_place_far_away_are_outliers():
     invalid = np.tile([[3.0, 0.0, 0.0]], (40, 1))
     assert find_outliers(np.vstack([example("chair").points, invalid])).sum() == 40
 

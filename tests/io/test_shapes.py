@@ -134,17 +134,17 @@ GOOD = binvox_bytes(ball(6, 0.4))
         (b"", "is empty"),
         (b"#binvox 2\n", "expected a .binvox header"),
         (GOOD[:40], "expected a .binvox header"),
-        (GOOD.replace(b"dim 6 6 6", b"dim 6 6"), "dim is '6 6'"),
+        (GOOD.replace(b"dim 6 6 6", b"dim 6 6"), "not enough values .*, expected dim of three"),
         (GOOD.replace(b"dim 6 6 6\n", b""), "dim is missing"),
-        (GOOD.replace(b"dim 6 6 6", b"dim 6 6 6.5"), "dim is"),
-        (GOOD.replace(b"dim 6 6 6", b"dim 0 6 6"), "expected 1 to"),
-        (GOOD.replace(b"dim 6 6 6", b"dim 1e300 1e300 1"), "expected 1 to"),
-        (GOOD.replace(b"dim 6 6 6", b"dim 6 6 7"), "hold 216 voxels, expected 252 as dim says"),
-        (GOOD.replace(b"scale 1", b"scale 0"), "scale is 0"),
-        (GOOD.replace(b"scale 1", b"scale nan"), "scale is"),
-        (GOOD[:-1], "middle of a run"),
-        (GOOD[:-2], "expected 216 as dim says"),
-        (GOOD[:-2] + b"\x02" + GOOD[-1:], "value 2, expected 0 or 1"),
+        (GOOD.replace(b"dim 6 6 6", b"dim 6 6 6.5"), "6.5"),
+        (GOOD.replace(b"dim 6 6 6", b"dim 0 6 6"), "dim 0 6 6"),
+        (GOOD.replace(b"dim 6 6 6", b"dim 10000 10000 10000"), "1 to 134,217,728 voxels"),
+        (GOOD.replace(b"dim 6 6 6", b"dim 6 6 7"), "216 voxels.*, expected runs .* 252 voxels"),
+        (GOOD.replace(b"scale 1", b"scale 0"), "scale 0"),
+        (GOOD.replace(b"scale 1", b"scale nan"), "scale nan"),
+        (GOOD[:-1], "expected runs of 0 or 1"),
+        (GOOD[:-2], "expected runs .* that hold 216 voxels"),
+        (GOOD[:-2] + b"\x02" + GOOD[-1:], "expected runs of 0 or 1"),
         (binvox_bytes(np.zeros((4, 4, 4))), "no voxel of the 4 x 4 x 4 grid"),
         (np.full((3, 3, 3), np.nan), "NaN"),
         (np.ones((3, 0, 3)), "expected 1 to"),
@@ -163,7 +163,7 @@ def test_a_grid_too_large_to_turn_into_a_surface_is_refused(save, monkeypatch):
         save("a.npy", np.ones((3, 3, 3))),
         save("a.binvox", binvox_bytes(np.ones((3, 3, 3)))),
     ):
-        assert_refused("expected 1 to 26 voxels", read_shape, path, 10)
+        assert_refused("1 to 26 voxels", read_shape, path, 10)
 
 
 def test_paths_without_a_shape_are_refused(tmp_path, save):

@@ -41,7 +41,8 @@ def find_outliers(points: Array) -> Bits:
     One outlier at ten times the object's size would leave the object a tenth of every window.
     """
     outlying = _beyond_gaps(points)
-    outlying[~outlying] = _single(points[~outlying])
+    if outlying.mean() <= LARGEST_SHARE_OF_OUTLIERS:
+        outlying[~outlying] = _single(points[~outlying])
     return outlying if outlying.mean() <= LARGEST_SHARE_OF_OUTLIERS else np.zeros(len(points), bool)
 
 

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError
+from ..option import declared
 from .output import reason, write_file
 from .reading import read_bytes, shown
 
@@ -27,7 +27,6 @@ FORMAT = "tso-network-1"
 # There is a single key: safetensors writes several keys in an order that differs from run to run.
 METADATA_KEY = "tso"
 STATE_PREFIX = "training."
-MOST_POINTS = 1_000_000  # of a network's output; a larger number can only be damage
 _PICKLES = (b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")  # first bytes
 # What safetensors and torch raise for damaged files, besides SafetensorError.
 _DAMAGE_ERRORS = (OSError, ValueError, TypeError, KeyError, RuntimeError, AttributeError)
@@ -193,42 +192,21 @@ def _damage(error: Exception) -> str:
 
 
 def _config(path: Path, values: dict[str, Any]) -> NetworkConfig:
-    from ..network.input import BACKGROUNDS
-    from ..network.model import FRAMES, IMAGE_SIZE, SUPERVISIONS, NetworkConfig
+    from ..network.model import NetworkConfig
 
     names = [field.name for field in dataclasses.fields(NetworkConfig)]
     problems = [f"lacks {name!r}" for name in names if name not in values]
     problems += [f"holds the unknown {shown(name)}" for name in values if name not in names]
     if problems:
         raise InputError(f"{path}: the configuration {problems[0]}, expected {', '.join(names)}")
-
-    def whole(value: object, low: float = -math.inf, high: float = math.inf) -> bool:
-        return isinstance(value, int) and number(value, low, high)
-
-    def number(value: object, low: float, high: float) -> bool:
-        return (
-            isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
-        )
-
-    checks: dict[str, tuple[Callable[[Any], bool], str]] = {
-        "points": (lambda value: whole(value, 1, MOST_POINTS), f"1 to {MOST_POINTS:,}"),
-        "image_size": (lambda value: whole(value, IMAGE_SIZE, IMAGE_SIZE), str(IMAGE_SIZE)),
-        "frame": (FRAMES.__contains__, " or ".join(FRAMES)),
-        "sigma_sq": (lambda value: number(value, 0.0, 1e6) and value > 0.0, "a number above 0"),
-        "crop_share": (lambda value: number(value, 0.0, 1.0), "a number from 0 to 1"),
-        "background": (BACKGROUNDS.__contains__, " or ".join(BACKGROUNDS)),
-        "supervision": (SUPERVISIONS.__contains__, " or ".join(SUPERVISIONS)),
-        "seed": (whole, "a whole number"),
-        "steps": (lambda value: whole(value, 0), "a whole number, 0 or more"),
-        "training_set": (lambda value: isinstance(value, str), "text"),
-        "version": (lambda value: isinstance(value, str), "text"),
-        "settings": (lambda value: isinstance(value, dict), "a JSON object"),
-    }
-    for name, (fits, expected) in checks.items():
-        if not fits(values[name]):
+    for name, entry in declared(NetworkConfig).items():
+        if not entry.takes(values[name]):
             raise InputError(
-                f"{path}: {name} in the configuration is {shown(values[name])}, expected {expected}"
+                f"{path}: {name} in the configuration is {shown(values[name])}, expected "
+                f"{entry.expected}"
             )
+    if not isinstance(values["settings"], dict):
+        raise InputError(f"{path}: settings in the configuration is no JSON object, expected one")
     return NetworkConfig(**values)
 
 

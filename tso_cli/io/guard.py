@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from ..errors import InputError
 from .checked import Checked
@@ -16,21 +17,23 @@ DAMAGE = (LookupError, ValueError, TypeError, AttributeError, OverflowError, str
 
 
 @contextmanager
-def reading(source: Checked, expected: str) -> Iterator[None]:
+def reading(source: Checked | Path, expected: str) -> Iterator[None]:
     """Inside, a reader takes what it needs of ``source``, and sets its ``place`` as it goes on.
+
+    A file without places is given by its path.
 
     Raises InputError where the file does not have what was ``expected``.
     """
     try:
         yield
     except DAMAGE as error:
-        place = source.place.rstrip(".: ")
+        path, place = (source, "") if isinstance(source, Path) else (source.path, source.place)
         if isinstance(error, KeyError):
-            wrong = f"{source.place}{plain(str(error.args[0]))} is missing"
+            wrong = f"{place}{plain(str(error.args[0]))} is missing"
         elif isinstance(error, (IndexError, struct.error)):
-            wrong = f"{place} ends early"
+            wrong = f"{place.rstrip('.: ')} ends early"
         elif isinstance(error, (TypeError, AttributeError)):
-            wrong = f"{place} has another form"
+            wrong = f"{place.rstrip('.: ')} has another form"
         else:
-            wrong = f"{place} cannot be read ({reason(error)})"
-        raise InputError(f"{source.path}: {wrong.lstrip()}, expected {expected}") from None
+            wrong = f"{place.rstrip('.: ')} cannot be read ({reason(error)})"
+        raise InputError(f"{path}: {wrong.lstrip()}, expected {expected}") from None

@@ -19,6 +19,16 @@ KINDS = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 
+_LENGTHS = [name for name, kind in KINDS.items() if kind[0] != "f"]  # types of a list's length
+_COUNT = re.compile(r"[0-9]{1,18}")  # a longer one can only be damage
+_EXPECTED = {
+    "format": f"one of {', '.join(FORMATS)}, version 1.0, and one such line",
+    "element": "a name that no other element has, and a count",
+    "property": "'property TYPE NAME' or 'property list TYPE TYPE NAME' after an element, with "
+    "types of PLY 1.0 (char to int, float, double; integers for lengths) and a name that no other "
+    "property of it has; convert the file",
+}
+
 
 @dataclass(frozen=True)
 class Property:
@@ -67,53 +77,30 @@ def parse_header(data: bytes, path: Path) -> Header:
             f"expected one within its first {HEADER_LIMIT:,} bytes"
         )
     elements: dict[str, Element] = {}
-    properties: dict[str, Property] | None = None
+    properties: dict[str, Property] = {}
     order: str | None = None
     lines = list(re.compile(rb"[^\r\n]+").finditer(data, first.end(), end.start()))
-    for match in lines:
-        words = [word.decode("ascii", "backslashreplace") for word in match[0].split()]
-        line = f"{path}: header line {shown(match[0].decode('ascii', 'backslashreplace'))}"
-        if not words or words[0] in ("comment", "obj_info"):
-            continue
-        if words[0] == "format":
-            if len(words) != 3 or words[1] not in FORMATS or words[2] != "1.0":
-                raise InputError(f"{line}: expected one of {', '.join(FORMATS)} and version 1.0")
-            if order is not None:
-                raise InputError(f"{line}: a second format, expected one")
-            order = FORMATS[words[1]]
-        elif words[0] == "element":
-            fits = len(words) == 3 and re.fullmatch(r"[0-9]{1,20}", words[2])
-            if not fits or int(words[2]) > 1 << 60:  # it can only be damage
-                raise InputError(f"{line}: expected a name and a count")
-            if words[1] in elements:
-                raise InputError(f"{line}: a second element of that name, expected one")
-            properties = {}
-            elements[words[1]] = Element(words[1], int(words[2]), properties)
-        elif words[0] == "property":
-            if properties is None:
-                raise InputError(f"{line}: expected an element before it")
-            entry = _property(words, match, line)
-            if entry.name in properties:
-                raise InputError(f"{line}: a second property of that name, expected one")
-            properties[entry.name] = entry
-        else:
-            raise InputError(f"{line}: expected format, comment, obj_info, element or property")
+    for line in lines:
+        text = line[0].decode("ascii", "backslashreplace")
+        match text.split():
+            case [] | ["comment" | "obj_info", *_]:
+                pass
+            case ["format", form, "1.0"] if form in FORMATS and order is None:
+                order = FORMATS[form]
+            case ["element", name, count] if name not in elements and _COUNT.fullmatch(count):
+                properties = {}
+                elements[name] = Element(name, int(count), properties)
+            case ["property", "list", length, kind, name] if (
+                elements and name not in properties and kind in KINDS and length in _LENGTHS
+            ):
+                properties[name] = Property(name, KINDS[kind], KINDS[length], (0, 0))
+            case ["property", kind, name] if elements and name not in properties and kind in KINDS:
+                start = line.start() + line[0].index(kind.encode())
+                span = start, start + len(kind)
+                properties[name] = Property(name, KINDS[kind], None, span)
+            case [word, *_]:
+                expected = _EXPECTED.get(word, f"{', '.join(_EXPECTED)}, comment or obj_info")
+                raise InputError(f"{path}: header line {shown(text)}: expected {expected}")
     if order is None:
         raise InputError(f"{path}: the PLY header has no format line, expected one")
     return Header(order, elements, end.end(), len(lines) + 2)
-
-
-def _property(words: list[str], match: re.Match[bytes], line: str) -> Property:
-    if len(words) == 5 and words[1] == "list" and words[2] in KINDS and words[3] in KINDS:
-        if KINDS[words[2]].startswith("f"):
-            raise InputError(
-                f"{line}: the length of a list is a {words[2]}, expected an integer type"
-            )
-        return Property(words[4], KINDS[words[3]], KINDS[words[2]], (0, 0))
-    if len(words) == 3 and words[1] in KINDS:
-        start = match.start() + match[0].index(words[1].encode())
-        return Property(words[2], KINDS[words[1]], None, (start, start + len(words[1])))
-    raise InputError(
-        f"{line}: expected 'property TYPE NAME' or 'property list TYPE TYPE NAME' "
-        "with types of PLY 1.0 (char to int, float, double); convert the file"
-    )

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array
+from .guard import reading
 from .output import reason
 from .reading import TextTable, plain, require_memory, shown
 
@@ -28,10 +29,7 @@ _SEPARATORS = ("\t", ";", ",")  # of a .csv file without blanks between its valu
 LONGEST_LINE = 1 << 20  # characters
 _COLMAP_POINT = struct.Struct("<3d")  # x, y and z
 _FIRST_LINES = 10  # of a .csv file, which say what separates its values
-_PCD_TYPES = {
-    ("F", 4): "<f4", ("F", 8): "<f8", ("I", 1): "i1", ("I", 2): "<i2", ("I", 4): "<i4",
-    ("I", 8): "<i8", ("U", 1): "u1", ("U", 2): "<u2", ("U", 4): "<u4", ("U", 8): "<u8",
-}  # fmt: skip
+_PCD_KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
 def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
@@ -55,14 +53,7 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
         stated_count = table.values(table.first[:1])[0]
         table.first, table.counts = table.first[1:], table.counts[1:]
         table.numbers = table.numbers[1:]
-    short = table.counts < 3
-    if short.any():
-        row = int(short.argmax())
-        count = table.counts[row]
-        raise InputError(
-            f"{path}: line {table.numbers[row]} has {count} column{'s' if count > 1 else ''}, "
-            f"expected at least 3, separated by blanks{_of_commas(table, row)}"
-        )
+    _require_columns(table, 3, ", separated by blanks")
     if stated_count >= 0:
         _check_count(path, len(table.first), stated_count, "its first line")
     points = table.values(table.first[:, None] + np.arange(3))
@@ -81,31 +72,21 @@ def read_colmap(data: bytes, path: Path, bytes_per_point: int) -> tuple[Array, A
         require_memory(path, 800 * data.count(b"\n"))
         table = TextTable(data, path)
         table.drop_comments()
-        if (table.counts < 8).any():
-            row = int((table.counts < 8).argmax())
-            raise InputError(
-                f"{path}: line {table.numbers[row]} has {table.counts[row]} columns, expected at "
-                "least 8: POINT3D_ID X Y Z R G B ERROR"
-            )
+        _require_columns(table, 8, ": POINT3D_ID X Y Z R G B ERROR")
         values = table.values(table.first[:, None] + np.arange(1, 7))
         points, colours = values[:, :3], values[:, 3:]
     else:
-        # A point has 43 bytes and 8 more for each picture of its track.
-        stated_count = struct.unpack_from("<Q", data)[0] if len(data) >= 8 else 1
-        require_memory(path, bytes_per_point * min(stated_count, len(data) // 43))
         coordinates, bytes_of_colours, at = array("d"), bytearray(), 8
-        try:
+        with reading(path, "a whole points3D.bin; write the model again"):
+            (stated_count,) = struct.unpack_from("<Q", data)
+            # A point has 43 bytes and 8 more for each picture of its track.
+            require_memory(path, bytes_per_point * min(stated_count, len(data) // 43))
             for _ in range(stated_count):
                 coordinates.extend(_COLMAP_POINT.unpack_from(data, at + 8))
                 bytes_of_colours += data[at + 32 : at + 35]
                 at += 51 + 8 * struct.unpack_from("<Q", data, at + 43)[0]
-        except struct.error:
-            at = len(data) + 1
-        if at != len(data):
-            raise InputError(
-                f"{path}: ends early, or holds more than the {stated_count:,} points that it "
-                "states, expected a whole points3D.bin; write the model again"
-            )
+            if at != len(data):
+                raise ValueError(f"{stated_count:,} points take {at:,} of {len(data):,} bytes")
         points = np.array(coordinates).reshape(-1, 3)
         colours = np.frombuffer(bytes(bytes_of_colours), np.uint8).reshape(-1, 3).astype(np.float64)
     if not ((colours >= 0.0) & (colours <= 255.0)).all():
@@ -126,11 +107,15 @@ def _refuse_long_lines(data: bytes, path: Path) -> None:
             )
 
 
-def _of_commas(table: TextTable, row: int) -> str:
-    """The advice for a line whose values are separated by commas."""
-    start = table.starts[table.first[row]]
-    line = table.data[start : start + 200].splitlines()[0]
-    return "; rename it to .csv, for commas" if line.count(b",") > 1 else ""
+def _require_columns(table: TextTable, least: int, words: str) -> None:
+    """Raise InputError at a line with fewer columns; ``words`` say more of them."""
+    if (short := table.counts < least).any():
+        row = int(short.argmax())
+        count, start = table.counts[row], table.starts[table.first[row]]
+        commas = table.data[start : start + 200].splitlines()[0].count(b",") > 1
+        words += "; rename it to .csv, for commas" if commas else ""
+        has = f"line {table.numbers[row]} has {count} column{'s' if count > 1 else ''}"
+        raise InputError(f"{table.path}: {has}, expected at least {least}{words}")
 
 
 def warn_of_columns(path: Path) -> None:
@@ -249,37 +234,24 @@ def _of_pcd(data: bytes, path: Path, bytes_per_point: int) -> Array:
     match = re.search(rb"^DATA[ \t]+(\w+)[ \t]*\r?\n", data[: 1 << 16], re.MULTILINE)
     if match is None:
         raise InputError(f"{path}: has no DATA line, expected the header of a .pcd file")
-    header: dict[str, list[str]] = {}
-    for line in data[: match.start()].decode("ascii", "replace").splitlines():
-        words = line.split()
-        if words and not words[0].startswith("#"):
-            header[words[0].upper()] = words[1:]
-    names, form = header.get("FIELDS", []), match[1].decode().lower()
-    missing = [axis for axis in AXES if axis not in names]
-    if missing:
-        raise InputError(
-            f"{path}: its fields are {plain(' '.join(names)) or 'none'}, expected x, y and z"
-        )
-    if form == "binary_compressed":
-        raise InputError(
-            f"{path}: is compressed, expected DATA ascii or binary; convert it: "
-            "pcl_convert_pcd_ascii_binary IN OUT 1"
-        )
-    try:
+    header = {}
+    with reading(path, "a header with the FIELDS x, y and z, and SIZE and TYPE of each field"):
+        for line in data[: match.start()].decode("ascii", "replace").splitlines():
+            name, *words = line.split() or ["#"]
+            header[name.upper()] = words
+        names = header["FIELDS"]
+        columns = [names.index(axis) for axis in AXES]
         counts = [int(word) for word in header.get("COUNT", ["1"] * len(names))]
-        sizes = [int(word) for word in header["SIZE"]]
-        types = [_PCD_TYPES[kind, size] for kind, size in zip(header["TYPE"], sizes, strict=True)]
+        types = zip(names, header["TYPE"], header["SIZE"], counts, strict=True)
+        of_point = np.dtype([
+            (f"f{i}", f"<{_PCD_KINDS[kind]}{size}", (count,))
+            for i, (_, kind, size, count) in enumerate(types)
+        ])  # fmt: skip
         total = int(header["POINTS"][0]) if "POINTS" in header else -1
-        if not len(names) == len(types) == len(counts) or min(counts) < 1 or max(counts) > 4096:
-            raise ValueError
-    except (KeyError, ValueError, IndexError):
-        raise InputError(
-            f"{path}: SIZE, TYPE, COUNT or POINTS of its header is wrong, expected one for each "
-            "field"
-        ) from None
-    body, places = match.end(), np.cumsum([0, *counts])
+    body, form = match.end(), match[1].decode().lower()
     if form == "ascii":
         table = TextTable(data, path, body, data.count(b"\n", 0, body))
+        places = np.cumsum([0, *counts])
         if (table.counts != places[-1]).any():
             row = int((table.counts != places[-1]).argmax())
             raise InputError(
@@ -289,11 +261,8 @@ def _of_pcd(data: bytes, path: Path, bytes_per_point: int) -> Array:
         if total >= 0:
             _check_count(path, len(table.first), total, "POINTS")
         require_memory(path, bytes_per_point * len(table.first))
-        columns = np.array([places[names.index(axis)] for axis in AXES])
-        points = table.values(table.first[:, None] + columns)
+        points = table.values(table.first[:, None] + places[columns])
     elif form == "binary":
-        both = enumerate(zip(types, counts, strict=True))
-        of_point = np.dtype([(f"f{i}", kind, (n,)) for i, (kind, n) in both])
         size = of_point.itemsize
         count = total if total >= 0 else (len(data) - body) // size
         if body + count * size > len(data):
@@ -308,11 +277,13 @@ def _of_pcd(data: bytes, path: Path, bytes_per_point: int) -> Array:
             )
         require_memory(path, bytes_per_point * count)
         rows = np.frombuffer(data, of_point, count, body)
-        columns_of = [rows[f"f{names.index(axis)}"][:, 0] for axis in AXES]
         with np.errstate(invalid="ignore"):
-            points = np.stack(columns_of, 1).astype(np.float64)
+            points = np.stack([rows[f"f{i}"][:, 0] for i in columns], 1).astype(np.float64)
     else:
-        raise InputError(f"{path}: DATA is {plain(form)}, expected ascii or binary")
+        raise InputError(
+            f"{path}: DATA is {plain(form)}, expected ascii or binary; convert it: "
+            "pcl_convert_pcd_ascii_binary IN OUT 1"
+        )
     # Invalid points of an organised cloud are NaN.
     valid = np.isfinite(points).all(1)
     if not valid.all() and valid.any():

@@ -13,7 +13,6 @@ of the program that made the file, it is the corner of the object or of the grid
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,6 +26,7 @@ from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import sample_surface
 from .clouds import SUFFIXES as CLOUD_SUFFIXES
 from .clouds import colmap_points, read_cloud
+from .guard import reading
 from .meshes import SUFFIXES as mesh_suffixes
 from .meshes import read_mesh
 from .ply_header import HEADER_LIMIT
@@ -144,31 +144,22 @@ def _read_binvox(path: Path) -> tuple[Bits, float]:
             f"{path}: starts with {shown(content[:12])}, "
             "expected a .binvox header (#binvox 1 ... data)"
         )
-    fields = {line.split()[0]: line.split()[1:] for line in header[1].splitlines() if line.strip()}
-    depth, height, width = (int(side) for side in _numbers(path, fields, b"dim", 3))
-    scale = _numbers(path, fields, b"scale", 1)[0] if b"scale" in fields else 1.0
-    total = depth * height * width
-    if min(depth, height, width) < 1 or total > MAX_VOXELS:
-        raise InputError(
-            f"{path}: dim is {shown(f'{depth} {height} {width}')}, "
-            f"expected 1 to {MAX_VOXELS:,} voxels"
-        )
+    lines = [line.split() for line in header[1].splitlines() if line.strip()]
+    fields = {line[0].decode("latin-1"): line[1:] for line in lines}
+    with reading(path, f"dim of three sides with 1 to {MAX_VOXELS:,} voxels, and a scale > 0"):
+        depth, height, width = map(int, fields["dim"])
+        (scale,) = map(float, fields.get("scale", [b"1"]))
+        total = depth * height * width
+        if min(depth, height, width) < 1 or total > MAX_VOXELS or not 1e-30 < scale < 1e30:
+            raise ValueError(f"dim {depth} {height} {width}, scale {scale:g}")
     require_memory(path, 16 * total)  # the most bytes of a voxel on the way to a surface
-    if not 1e-30 < scale < 1e30:
-        raise InputError(f"{path}: scale is {scale:g}, expected a size > 0")
-    runs = np.frombuffer(content[header.end() :], dtype=np.uint8)
-    if len(runs) % 2:
-        raise InputError(f"{path}: ends in the middle of a run, expected a whole file")
-    values, counts = runs[0::2], runs[1::2].astype(np.int64)
-    if (values > 1).any():
-        raise InputError(f"{path}: a run has the value {int(values.max())}, expected 0 or 1")
-    if int(counts.sum()) != total:
-        raise InputError(
-            f"{path}: its runs hold {int(counts.sum()):,} voxels, expected {total:,} as dim says"
-        )
-    # In the file y changes fastest, then z, then x.
-    grid = np.repeat(values.astype(bool), counts).reshape(depth, height, width).transpose(0, 2, 1)
-    return grid, scale
+    with reading(path, f"runs of 0 or 1 that hold {total:,} voxels, as dim says"):
+        values, counts = np.frombuffer(content[header.end() :], np.uint8).reshape(-1, 2).T
+        if (count := counts.sum(dtype=np.int64)) != total:  # before they take memory
+            raise ValueError(f"{count:,} voxels")
+        # In the file y changes fastest, then z, then x.
+        grid = np.repeat(np.array([False, True])[values], counts)
+        return grid.reshape(depth, height, width).transpose(0, 2, 1), scale
 
 
 def _read_npy_grid(path: Path) -> NDArray[Any]:
@@ -183,16 +174,3 @@ def _read_npy_grid(path: Path) -> NDArray[Any]:
     if not np.isfinite(grid).all():
         raise InputError(f"{path}: a voxel is NaN or infinite, expected occupancy from 0 to 1")
     return grid
-
-
-def _numbers(path: Path, fields: dict[bytes, list[bytes]], key: bytes, count: int) -> list[float]:
-    try:
-        values = [float(word) for word in fields[key]]
-        fits = len(values) == count and all(map(math.isfinite, values))
-        if not fits or (key == b"dim" and any(value % 1 for value in values)):
-            raise ValueError
-    except (KeyError, ValueError):
-        what = shown(b" ".join(fields[key]).decode("latin-1")) if key in fields else "missing"
-        numbers = "finite numbers" if count > 1 else "finite number"
-        raise InputError(f"{path}: {key.decode()} is {what}, expected {count} {numbers}") from None
-    return values

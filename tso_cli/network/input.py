@@ -13,7 +13,6 @@ from ..geometry.camera import CANONICAL_DISTANCE, CANONICAL_FOCAL_AT_64, Camera
 from ..geometry.resampling import area_resize
 from ..geometry.view import View
 
-BACKGROUNDS = ("black", "white", "keep")
 # Side of the square that the canonical camera sees at the object's distance, in units of the cloud:
 # 1.07.
 CANONICAL_SIDE = 64.0 * CANONICAL_DISTANCE / CANONICAL_FOCAL_AT_64

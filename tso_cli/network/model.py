@@ -12,10 +12,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from ..option import opt
+from . import Background, Frame, Supervision
+
 LATENT = 128
 IMAGE_SIZE = 64
-FRAMES = ("view", "canonical")
-SUPERVISIONS = ("points", "masks", "joint")
 # (output channels, filter size, stride) of each layer. An image of 64x64 shrinks to 4x4.
 CONVOLUTIONS = (
     (32, 3, 1), (32, 3, 1), (64, 3, 2), (64, 3, 1), (64, 3, 1), (128, 3, 2),
@@ -38,17 +39,17 @@ class NetworkConfig:
     version : of tso.
     """
 
-    points: int = 1024
-    image_size: int = IMAGE_SIZE
-    frame: str = "view"
-    sigma_sq: float = 0.4
-    crop_share: float = 0.9
-    background: str = "black"
-    training_set: str = ""
-    supervision: str = "points"
-    seed: int = 0
-    steps: int = 0
-    version: str = ""
+    points: int = opt(1024, least=1, most=1_000_000)  # a larger number can only be damage
+    image_size: int = opt(IMAGE_SIZE, least=IMAGE_SIZE, most=IMAGE_SIZE)
+    frame: Frame = opt("view")
+    sigma_sq: float = opt(0.4, above=0.0, most=1e6)
+    crop_share: float = opt(0.9, least=0.0, most=1.0)
+    background: Background = opt("black")
+    training_set: str = opt("")
+    supervision: Supervision = opt("points")
+    seed: int = opt(0)
+    steps: int = opt(0, least=0)
+    version: str = opt("")
     settings: dict[str, Any] = field(default_factory=dict)
 
 

@@ -132,7 +132,7 @@ def network_scene(
         points = network(torch.from_numpy(inputs.image).unsqueeze(0))[0].double().numpy()
     # Of the photo's mask: the crop is enlarged and hides that a mask is coarse.
     known = [photo(view, 0), coarse(view, 0, len(points)), specks(view, 0)]
-    crop, to_output, frame = inputs.view(view.name), Scene.to_output, config.frame
+    crop, to_output, frame = inputs.view(view.name), Scene.to_output, str(config.frame)
     summary = f"camera {source}" if known_camera else f"canonical camera {NO_FILE}"
     if config.frame == "view":
         if not known_camera:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ..errors import InputError
+from ..network import Frame, Supervision
 from ..option import check_values, opt
 
 MASKS = {"supervision": ("masks", "joint")}
@@ -52,9 +53,7 @@ class TrainConfig:
 
     balance: bool = opt(False, heading="Data")
     augment: bool = opt(False, heading="Input pictures", brief=True)
-    supervision: Literal["points", "masks", "joint"] = opt(
-        "points", heading="Supervision", brief=True
-    )
+    supervision: Supervision = opt("points", heading="Supervision", brief=True)
     views: int = opt(4, least=1, only={"supervision": ("masks",)})
     affinity_weight: float = opt(
         1.0, heading="Losses", names=("lambda",), least=0.0, below=math.inf, only=MASKS
@@ -63,7 +62,7 @@ class TrainConfig:
     saturation_steps: int | None = opt(None, "a sixth of `steps`, 10 to 500", least=1, only=MASKS)
     sigma_sq: float = opt(0.4, above=0.0, below=math.inf)
     points: int = opt(1024, heading="Network", least=1)
-    frame: Literal["view", "canonical"] = opt("view")
+    frame: Frame = opt("view")
     decay: Literal["none", "cosine"] = opt("none", heading="Optimisation")
     steps: int = opt(20_000, "20000; 600 without DATA", brief=True, least=1)
     batch_size: int = opt(16, brief=True, least=1)

@@ -22,6 +22,7 @@ from ..geometry.arrays import Floats
 from ..geometry.camera import Camera
 from ..geometry.points import evenly
 from ..geometry.view import View
+from ..network import Background
 from ..network.input import NetworkInput, network_input
 from .backgrounds import Backgrounds
 
@@ -52,7 +53,7 @@ class TrainingData:
     objects: Sequence[ObjectItem]
     description: str
     crop_share: float = 0.9
-    background: str = "black"
+    background: Background = "black"
     strict: bool = False
     backgrounds: Backgrounds | None = None
     skipped: Mapping[str, str] = field(default_factory=dict)

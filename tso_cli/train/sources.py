@@ -18,6 +18,7 @@ from ..io.cameras import read_cameras
 from ..io.clouds import read_cloud
 from ..io.meshes import read_mesh
 from ..io.shipped import CATEGORIES, examples_folder
+from ..network import Background
 from ..render.folder import render_mesh
 from ..render.rays import RenderedView
 from ..render.settings import RenderSettings
@@ -28,7 +29,7 @@ def from_meshes(
     meshes: Sequence[Path],
     description: str,
     crop_share: float = 0.9,
-    background: str = "black",
+    background: Background = "black",
     progress: Callable[[int, int, str], None] | None = None,
     views: int = 32,
 ) -> TrainingData:
@@ -51,7 +52,7 @@ def from_meshes(
     return sized(Dataset(objects, description), crop_share, background)
 
 
-def sized(dataset: Dataset, crop_share: float, background: str = "black") -> TrainingData:
+def sized(dataset: Dataset, crop_share: float, background: Background = "black") -> TrainingData:
     """Objects of longest side 1 as training data.
 
     They are scaled to unit diagonal if ``crop_share`` is 0, because pictures then show sizes.
@@ -77,7 +78,7 @@ def rendered_object(
     return ObjectItem(name, category, items, lambda: target)
 
 
-def shipped_examples(crop_share: float = 0.9, background: str = "black") -> TrainingData:
+def shipped_examples(crop_share: float = 0.9, background: Background = "black") -> TrainingData:
     """The pictures and true shapes of the shipped examples.
 
     A network that is trained on the shipped meshes has not seen them.

@@ -10,6 +10,7 @@ from ...datasets.opening import open_dataset
 from ...datasets.splits import read_part
 from ...errors import InputError
 from ...io.shipped import example_meshes
+from ...network import Background
 from ...train.backgrounds import Backgrounds
 from ...train.data import TrainingData
 from ...train.sources import from_meshes
@@ -36,7 +37,7 @@ class DataSelection:
     categories: tuple[str, ...] = ()
     strict: bool = False
     crop_share: float = 0.9
-    background: str = "black"
+    background: Background = "black"
     behind: str | None = None
     part: str = "train"
     points: bool = False

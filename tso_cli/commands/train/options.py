@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import click
 
 from ...errors import InputError
 from ...io.shipped import DEFAULT
+from ...network import Background
 from ...option import check_rules, opt
 from ...train.config import TrainConfig
 from ...train.prior.config import PriorConfig
@@ -69,7 +70,7 @@ class TrainOptions(TrainConfig):
     categories: tuple[str, ...] = opt((), names=("category",), metavar="NAME", brief=True)
     strict: bool = opt(False)
     crop_share: float = opt(0.9, heading="Input pictures", least=0.0, most=1.0)
-    background: Literal["black", "white", "keep"] = opt("black")
+    background: Background = opt("black")
     behind: str | None = opt(
         None, names=("backgrounds",), metavar="FOLDER|textures", only={"background": ("keep",)}
     )
