@@ -10,8 +10,7 @@ from scipy.stats import spearmanr
 
 from tests.scenes import Example, block, depth_of, example
 from tso_cli import Camera, View
-from tso_cli.diagnosis.depth_kinds import along_z, fitted, line
-from tso_cli.diagnosis.depth_map import SeenSurface, wrong_maps
+from tso_cli.diagnosis.depth_map import SeenSurface, along_z, fitted, line, wrong_maps
 
 from .common import EXAMPLES
 
@@ -38,7 +37,7 @@ def starts(scene: Example) -> dict[str, np.ndarray]:
 
 
 def held(points: np.ndarray, view: View) -> str:
-    return SeenSurface.of(points, view).held()
+    return SeenSurface.of(points, view).contents()
 
 
 # What a map holds

@@ -7,7 +7,7 @@ import pytest
 
 from tests.scenes import depth_of, example
 from tso_cli import RefineConfig, refine
-from tso_cli.diagnosis.depth_noise import noise, without_noise
+from tso_cli.diagnosis.depth_map import noise, without_noise
 
 NAMES = "chair", "car", "airplane"
 SCENES = {name: example(name) for name in NAMES}

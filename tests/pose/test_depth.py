@@ -11,7 +11,7 @@ from tso_cli.cloud.cloud import Cloud
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.meshes import read_mesh
 from tso_cli.pose.causes import find_move
-from tso_cli.pose.depth import DepthMisfit, Surface
+from tso_cli.pose.misfit import DepthMisfit, Surface
 from tso_cli.pose.placement import UNKNOWNS, Placements
 from tso_cli.pose.target import Target
 from tso_cli.render.folder import ground_truth, normalise

@@ -124,7 +124,7 @@ def test_a_cloud_of_the_right_shape_is_brought_back_exactly_and_none_gets_worse(
     turned = from_vectors(np.radians([[5.0, -4.0, 3.0]]))
     start = Placements.at(turned, starts.t[:1], np.ones(1))
     found = search_from(comparison, Freedom.of(start, TURN, SHIFT))
-    assert found.given > 0.5
+    assert found.missed_before > 0.5
     assert found.explains
     assert angle_between(found.placement.R[0], np.eye(3)) < 1.5
 

@@ -7,7 +7,7 @@ import pytest
 
 from tests.scenes import about, depth_of, example
 from tso_cli import InputError, RefineConfig, View, refine
-from tso_cli.diagnosis.depth_kinds import fitted
+from tso_cli.diagnosis.depth_map import fitted
 from tso_cli.refinement import depth_maps
 from tso_cli.refinement.clock import Clock
 from tso_cli.refinement.scene import as_scene

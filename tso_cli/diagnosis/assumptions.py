@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..geometry.arrays import Array
+from ..geometry.camera import Camera
 from ..geometry.mirror_plane import MirrorPlane
 from ..geometry.view import View
 from .hypotheses import HYPOTHESES, OF_WIDTH, Hypothesis, hypothesis_called, permutation
@@ -60,7 +61,7 @@ def assumptions_of(texts: Sequence[str], views: Sequence[str]) -> tuple[Assumpti
     A view is named by its whole name or by the last part of a path. Raises InputError for a name
     that is not in the table, a view that is not in ``views``, or a text that is given twice.
     """
-    found = []
+    assumptions = []
     for text in texts:
         name, at, view = text.partition("@")
         hypothesis = hypothesis_called(name)
@@ -75,8 +76,8 @@ def assumptions_of(texts: Sequence[str], views: Sequence[str]) -> tuple[Assumpti
             )
         if texts.count(text) > 1:
             raise InputError(f"`assume` has {text} twice, expected it once")
-        found.append(Assumption(hypothesis, _named(text, view, views) if at else ""))
-    return tuple(found)
+        assumptions.append(Assumption(hypothesis, _named(text, view, views) if at else ""))
+    return tuple(assumptions)
 
 
 def _like(name: str) -> str:
@@ -84,19 +85,19 @@ def _like(name: str) -> str:
     from difflib import get_close_matches
 
     names = [*HYPOTHESES, f"{OF_WIDTH}=518"]
-    with_it = [one for one in names if name and name in one]
-    return next(iter(get_close_matches(name, with_it or names, 1, 0.0)), "mask-inverted")
+    longer = [other for other in names if name and name in other]
+    return next(iter(get_close_matches(name, longer or names, 1, 0.0)), "mask-inverted")
 
 
 def _named(text: str, view: str, views: Sequence[str]) -> str:
     """The one of ``views`` that ``view`` names."""
     view = str(Path(view))
-    found = [name for name in views if name == view]
-    found = found or [name for name in views if Path(name).name == view]
-    if len(found) != 1:
-        count = f"there are {len(found)} such masks" if found else "there is no such mask"
+    names = [name for name in views if name == view]
+    names = names or [name for name in views if Path(name).name == view]
+    if len(names) != 1:
+        count = f"there are {len(names)} such masks" if names else "there is no such mask"
         raise InputError(f"`assume` is {text!r}: {count}, expected one of {', '.join(views)}")
-    return found[0]
+    return names[0]
 
 
 def as_meant(view: View, assumptions: Iterable[Assumption]) -> View:
@@ -104,18 +105,32 @@ def as_meant(view: View, assumptions: Iterable[Assumption]) -> View:
 
     Depth map and photo are taken as right.
     """
-    of_view = [one for one in assumptions if one.is_about(view)]
+    of_view = [assumption for assumption in assumptions if assumption.is_about(view)]
     if not of_view:
         return view
-    change, camera, known = mask_change(view, of_view), view.camera, view.known
+    change, axes = mask_change(view, of_view), axes_of(of_view)
     mask = change.of(view.mask)
     if change.inverted:
         mask = np.float32(1.0) - mask
-    for assumption in of_view:
-        camera = assumption.hypothesis.camera(camera)
-    known = None if known is None else change.of(known)
-    meant = replace(view, mask=mask, known=known, camera=camera)
-    return _in_axes_of_cloud(meant, axes_of(of_view))
+    known = None if view.known is None else change.of(view.known)
+    camera = camera_under(view.camera, (assumption.hypothesis for assumption in of_view))
+    view = replace(view, mask=mask, known=known, camera=camera)
+    # The camera sees points of the cloud where it saw ``axes`` times them. For left-handed axes the
+    # pictures are mirrored with it: no camera is a reflection.
+    if np.linalg.det(axes) < 0.0:
+        mirror = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
+        flipped, axes = mirror.flipped(view), mirror.reflect(axes.T).T
+        image = None if view.image is None else view.image[:, ::-1]
+        pictures = {name: getattr(flipped, name) for name in ("mask", "known", "depth", "camera")}
+        view = replace(view, image=image, **pictures)
+    return replace(view, camera=replace(view.camera, R=view.camera.R @ axes))
+
+
+def camera_under(camera: Camera, hypotheses: Iterable[Hypothesis]) -> Camera:
+    """The camera that is meant, of a ``camera`` as it was read."""
+    for hypothesis in hypotheses:
+        camera = hypothesis.camera(camera)
+    return camera
 
 
 def mask_change(view: View, assumptions: Iterable[Assumption]) -> MaskChange:
@@ -139,17 +154,3 @@ def axes_of(assumptions: Iterable[Assumption]) -> Array:
 def left_handed(assumptions: Iterable[Assumption]) -> bool:
     """Whether the cloud has left-handed axes, so that pictures and cameras are mirrored."""
     return bool(np.linalg.det(axes_of(assumptions)) < 0.0)
-
-
-def _in_axes_of_cloud(view: View, axes: Array) -> View:
-    """The view whose camera sees points of the cloud where ``view`` sees ``axes`` times them.
-
-    For left-handed axes its pictures are mirrored with the camera: no camera is a reflection.
-    """
-    if np.linalg.det(axes) < 0.0:
-        mirror = MirrorPlane(np.array([1.0, 0.0, 0.0]), 0.0)
-        flipped, axes = mirror.flipped(view), mirror.reflect(axes.T).T
-        image = None if view.image is None else view.image[:, ::-1]
-        pictures = {name: getattr(flipped, name) for name in ("mask", "known", "depth", "camera")}
-        view = replace(view, image=image, **pictures)
-    return replace(view, camera=replace(view.camera, R=view.camera.R @ axes))

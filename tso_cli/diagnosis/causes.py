@@ -34,39 +34,37 @@ def depth_that_contradicts(body: Body, views: Sequence[View], fits: bool) -> tup
     The maps are along z, or known up to two numbers. Of a cloud that does not fit its masks the
     shape is wrong too, so that only its distance is compared.
     """
-    with_depth = [
-        number
+    with_depth = {
+        number: SeenSurface.of(body.points, view)
         for number, view in enumerate(views)
         if view.depth is not None and view.depth_kind not in FITTED
-    ]
-    surfaces = [SeenSurface.of(body.points, views[number]) for number in with_depth]
-    shared = [surface for surface in surfaces if len(surface.depth)]
-    if not shared:
+    }
+    numbers = tuple(with_depth)
+    surfaces = [surface for surface in with_depth.values() if len(surface.depth)]
+    if not surfaces:
         return ()
-    apart = float(np.median([surface.apart for surface in shared]))
+    apart = float(np.median([surface.apart for surface in surfaces]))
     if abs(apart) > DEPTH_APART:
-        times = float(np.median([surface.times for surface in shared]))
+        times = float(np.median([surface.times for surface in surfaces]))
         how, other = ("far", "near") if apart > 0.0 else ("near", "far")
         values: dict[str, float | str] = {"share": 100.0 * abs(apart), "times": times}
-        return (
-            Finding("depth-apart", tuple(with_depth), values=values | {"how": how, "other": other}),
-        )
-    off = float(np.median([surface.off(surface.values)[0] for surface in shared]))
+        values |= {"how": how, "other": other}
+        return (Finding("depth-apart", numbers, values=values),)
+    off = float(np.median([surface.off(surface.values)[0] for surface in surfaces]))
     if not fits or off < DEPTH_OFF:
         return ()
-    return (Finding("depth-contradicts", tuple(with_depth), values={"off": 100.0 * off}),)
+    return (Finding("depth-contradicts", numbers, values={"off": 100.0 * off}),)
 
 
 def findings_of_parts(parts: Mapping[int, Parts]) -> tuple[Finding, ...]:
     """What masks and cloud do not share."""
     findings = []
     for number, part in parts.items():
+        name, share = "missing-part", 100.0 * part.in_cloud
         if part.in_mask > part.in_cloud:
+            name = "foreign-part"
             share = 100.0 * part.in_mask / (1.0 - part.in_cloud + part.in_mask)
-            findings.append(Finding("foreign-part", (number,), values={"share": share}))
-        else:
-            share = 100.0 * part.in_cloud
-            findings.append(Finding("missing-part", (number,), values={"share": share}))
+        findings.append(Finding(name, (number,), values={"share": share}))
     return tuple(findings)
 
 

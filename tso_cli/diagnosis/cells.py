@@ -10,7 +10,8 @@ import numpy as np
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.camera import Camera
 from ..geometry.view import View, object_box
-from .assumptions import Assumption, axes_of, mask_change
+from .assumptions import Assumption, axes_of, camera_under, mask_change
+from .hypotheses import Hypothesis
 
 # Cells along the longer side of the mask's bounding box.
 CELLS = 16
@@ -86,13 +87,9 @@ def visible_in(view: View, x: Array, y: Array) -> Bits:
     height, width = view.mask.shape
     visible: Bits = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
     if view.known is not None:
-        visible[visible] = view.known[pixels_at(x[visible], y[visible])]
+        row, column = (np.rint(place[visible]).astype(int) for place in (y, x))
+        visible[visible] = view.known[row, column]
     return visible
-
-
-def pixels_at(x: Array, y: Array) -> tuple[Indices, Indices]:
-    """Rows and columns of the pixels at the places ``x`` and ``y``, px."""
-    return np.rint(y).astype(int), np.rint(x).astype(int)
 
 
 class Outline:
@@ -109,15 +106,15 @@ class Outline:
         self.view = view
         inverted = mask_change(view, given).inverted
         known = np.ones(view.mask.shape, bool) if view.known is None else view.known
-        inside, other = view.inside, known & ~view.inside
+        inside, background = view.inside, known & ~view.inside
         if inverted:
-            inside, other = other, inside
+            inside, background = background, inside
         border = known.copy()
         border[1:-1, 1:-1] = False
         self.may_be_inverted = bool(border.any() and inside[border].mean() >= INVERTED_BORDER)
         self.cells = {inverted: Cells.of(inside)}
         if self.may_be_inverted:
-            self.cells[not inverted] = Cells.of(other)
+            self.cells[not inverted] = Cells.of(background)
         self.foreground_cells = self.cells[inverted].count
 
     def project(
@@ -127,20 +124,19 @@ class Outline:
 
         And under which options the mask is inverted.
         """
-        view, cameras, changes = self.view, [], []
-        axes = np.empty((len(options), 3, 3))
+        view, axes, cameras, changes = self.view, [], [], []
         # Many options have the same camera.
-        cached: dict[tuple[str, ...], Camera] = {(): view.camera}
-        for number, option in enumerate(options):
-            of_view = [one for one in option if one.is_about(view)]
-            axes[number] = axes_of(of_view)
+        cached: dict[tuple[Hypothesis, ...], Camera] = {}
+        for option in options:
+            of_view = [assumption for assumption in option if assumption.is_about(view)]
+            axes.append(axes_of(of_view))
             changes.append(mask_change(view, of_view))
-            name: tuple[str, ...] = ()
-            for hypothesis in (one.hypothesis for one in of_view if one.hypothesis.changes_camera):
-                before, name = cached[name], (*name, hypothesis.name)
-                cached[name] = cached.get(name) or hypothesis.camera(before)
-            cameras.append(cached[name])
-        R = np.stack([camera.R for camera in cameras]) @ axes
+            hypotheses = (assumption.hypothesis for assumption in of_view)
+            of_camera = tuple(hypothesis for hypothesis in hypotheses if hypothesis.changes_camera)
+            if of_camera not in cached:
+                cached[of_camera] = camera_under(view.camera, of_camera)
+            cameras.append(cached[of_camera])
+        R = np.stack([camera.R for camera in cameras]) @ np.stack(axes)
         t = np.stack([camera.t for camera in cameras])
         turns = np.stack([change.turn.T for change in changes])
         middle = (np.array([view.camera.width, view.camera.height]) - 1.0) / 2.0
@@ -148,11 +144,11 @@ class Outline:
         K[..., 2] -= middle
         K = turns @ K
         K[..., 2] += middle
-        seen = R @ points.T + t[..., None]
+        in_camera = R @ points.T + t[..., None]
         if view.camera.model == "perspective":
             with np.errstate(divide="ignore", invalid="ignore"):
-                seen[:, :2] *= 1.0 / np.where(seen[:, 2:] > 0.0, seen[:, 2:], np.nan)
-        x, y = (K[..., :2] @ seen[:, :2] + K[..., 2:]).swapaxes(0, 1)
+                in_camera[:, :2] *= 1.0 / np.where(in_camera[:, 2:] > 0.0, in_camera[:, 2:], np.nan)
+        x, y = (K[..., :2] @ in_camera[:, :2] + K[..., 2:]).swapaxes(0, 1)
         return x, y, [change.inverted for change in changes]
 
     def ious(self, points: Array, options: Sequence[Sequence[Assumption]]) -> Array:
@@ -163,12 +159,12 @@ class Outline:
         share of its IoU by which it puts more points behind the camera than the first option.
         """
         x, y, inverted = self.project(points, options)
-        visible, found = visible_in(self.view, x, y), np.zeros(len(options))
+        visible, ious = visible_in(self.view, x, y), np.zeros(len(options))
         for changed, cells in self.cells.items():
             rows = np.array(inverted) == changed
-            found[rows] = cells.ious(x[rows], y[rows], visible[rows])
+            ious[rows] = cells.ious(x[rows], y[rows], visible[rows])
         in_front = (~np.isnan(x)).mean(1)
-        found *= np.minimum(1.0, in_front / max(in_front[0], 1e-9))
-        cells, shown = self.cells[inverted[0]], visible[:1]
-        column, row = cells.stretched(x[:1], shown, 0), cells.stretched(y[:1], shown, 1)
-        return np.append(found, cells.ious(column, row, shown))
+        ious *= np.minimum(1.0, in_front / max(in_front[0], 1e-9))
+        cells, visible = self.cells[inverted[0]], visible[:1]
+        column, row = cells.stretched(x[:1], visible, 0), cells.stretched(y[:1], visible, 1)
+        return np.append(ious, cells.ious(column, row, visible))

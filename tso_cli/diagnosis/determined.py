@@ -50,10 +50,10 @@ def shares_fixed(points: Array, blocks: Array) -> Array:
     p the weight of the position prior, the share is ``1 - tr(p (D + p I)^-1) / 3``: posterior over
     prior variance, the mean of three directions.
     """
-    held = PRIOR_WEIGHT * REFERENCE_POINTS / len(points)
+    prior = PRIOR_WEIGHT * REFERENCE_POINTS / len(points)
     near = nearest_few(points, points, min(NEIGHBOURS, len(points)))
-    left = np.linalg.inv(blocks[near].mean(1) + held * np.eye(3))
-    fixed: Array = 1.0 - held * np.trace(left, axis1=1, axis2=2) / 3.0
+    variance = np.linalg.inv(blocks[near].mean(1) + prior * np.eye(3))
+    fixed: Array = 1.0 - prior * np.trace(variance, axis1=1, axis2=2) / 3.0
     return np.clip(fixed, 0.0, 1.0)
 
 
@@ -64,18 +64,19 @@ def normal_blocks(points: Array, view: ViewTarget) -> Array:
     finer grid says the same.
     """
     blocks = np.zeros((len(points), 3, 3))
-    seen = project_differentiably(points, view.camera)
-    (candidates,) = np.nonzero(view.mask.observed(seen.points_px, seen.valid))
+    projected = project_differentiably(points, view.camera)
+    px = projected.points_px
+    (candidates,) = np.nonzero(view.mask.observed(px, projected.valid))
     if not len(candidates):
         return blocks
     scale = view.mask.scale
     cells = np.argwhere(contour(view.mask))[:, ::-1].astype(float)
-    owner = candidates[nearest(cells, seen.points_px[candidates])]
-    squared = np.square(seen.points_px[owner] - cells).sum(1) * scale**2
+    owner = candidates[nearest(cells, px[candidates])]
+    squared = np.square(px[owner] - cells).sum(1) * scale**2
     _, slope = robust(squared, ROBUST_SCALE)
-    of_points = _summed(owner, view.weight * scale * slope, len(points))
+    of_points = np.bincount(owner, view.weight * scale * slope, len(points)).astype(np.float64)
     for axis in scale * np.eye(2):
-        row = seen.pull_back(np.tile(axis, (len(points), 1)))
+        row = projected.pull_back(np.tile(axis, (len(points), 1)))
         blocks += of_points[:, None, None] * row[:, :, None] * row[:, None]
     if view.depth is not None:
         along = view.camera.R[2]
@@ -97,10 +98,5 @@ def _of_depth(points: Array, candidates: Indices, target: DepthTarget) -> Array:
     per_unit = np.square(target.per_unit)
     squared = np.square(points[owner] - target.surface).sum(1) * per_unit
     _, slope = robust(squared, ROBUST_SCALE)
-    return _summed(owner, target.pixel_area * slope * per_unit, len(points))
-
-
-def _summed(owner: Indices, values: Array, count: int) -> Array:
-    """[count], the sums of the ``values`` [P] of each owner [P]."""
-    summed: Array = np.bincount(owner, values, count).astype(np.float64)
-    return summed
+    weight = target.pixel_area * slope * per_unit
+    return np.bincount(owner, weight, len(points)).astype(np.float64)

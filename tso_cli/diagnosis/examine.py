@@ -82,7 +82,9 @@ class NoOverlapError(InputError):
     def __init__(self, diagnosis: Diagnosis, cloud: ControlledCloud) -> None:
         advice = AXES_ADVICE
         if diagnosis.suspicious:
-            advice = f"it looks as if {' or '.join(one.says for one in diagnosis.suspicious)}"
+            advice = (
+                f"it looks as if {' or '.join(finding.says for finding in diagnosis.suspicious)}"
+            )
         super().__init__(f"{diagnosis.apart}; {advice}")
         self.diagnosis, self.cloud = diagnosis, cloud
 
@@ -181,23 +183,23 @@ def _notes(
 ) -> list[Finding]:
     """``input_as_given`` : not a network's prediction and the crop that the network saw."""
     points, source = cloud.control_points, cloud.source
-    found: list[Finding | None] = []
+    findings: list[Finding | None] = []
     if source.not_a_mesh:
-        found.append(Finding("not-a-mesh", values={"why": source.not_a_mesh}))
+        findings.append(Finding("not-a-mesh", values={"why": source.not_a_mesh}))
     left_out = int(cloud.left_out.sum())
     if left_out:
         share = 100.0 * left_out / len(source.points)
-        found.append(Finding("left-out", values={"count": left_out, "share": share}))
+        findings.append(Finding("left-out", values={"count": left_out, "share": share}))
     if count := int(cloud.outliers.sum()) - left_out:
-        found.append(Finding("outliers", values={"count": count}))
+        findings.append(Finding("outliers", values={"count": count}))
     if count := int(source.faint.sum()):
-        found.append(Finding("faint", values={"count": count}))
+        findings.append(Finding("faint", values={"count": count}))
     for number, (view, placement) in enumerate(zip(views, placements, strict=True)):
         if input_as_given:
-            found.append(symptoms.photo(view, number))
-        found += [
+            findings.append(symptoms.photo(view, number))
+        findings += [
             symptoms.coarse(view, number, len(points)),
             symptoms.specks(view, number),
             symptoms.behind(placement, number),
         ]
-    return [finding for finding in found if finding]
+    return [finding for finding in findings if finding]

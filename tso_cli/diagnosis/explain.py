@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -67,35 +67,19 @@ class Candidates:
     of_views: tuple[Finding, ...] = ()
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """The given assumptions with ``changed`` left out (``without``), or with ``changed`` added."""
-
-    assumptions: tuple[Assumption, ...]
-    changed: tuple[Assumption, ...] = ()
-    without: bool = False
-
-    @property
-    def of_cloud(self) -> bool:
-        return any(one.hypothesis.of_cloud for one in self.changed)
-
-    @property
-    def turns(self) -> bool:
-        return any(one.hypothesis.turns for one in self.changed)
-
-
 class Table:
-    """The IoU of each candidate [C] with each view [V]; candidate 0 is the input as given.
+    """The IoU of each of C candidates with each view: [1 + C + 1, V].
 
-    The last row is of the input as given, if the box of the cloud were that of the mask.
+    The first row is of the input as given, and so is the last, if the box of the cloud were that of
+    the mask.
     """
 
     def __init__(
         self, points: Array, outlines: Sequence[Outline], given: Sequence[Assumption]
     ) -> None:
         cameras = [outline.view.camera for outline in outlines]
-        self.candidates = list(_candidates(tuple(given), cameras))
-        options = [candidate.assumptions for candidate in self.candidates]
+        self.candidates = list(_candidates(given, cameras))
+        options = [given, *(candidate.assumed(given) for candidate in self.candidates)]
         self.ious = np.stack([outline.ious(points, options) for outline in outlines], axis=1)
 
     def likely(self, views: Sequence[int], of_cloud: bool = True) -> list[Finding]:
@@ -106,20 +90,18 @@ class Table:
         before, *scores, stretched = self.ious[:, views].mean(1).tolist()
         least = max(before + GAIN, LEAST_IOU)
         if_turned = max(least, stretched - BELOW_STRETCHED)
-        pairs = [
-            (score, candidate)
-            for score, candidate in zip(scores, self.candidates[1:], strict=True)
-            if score >= (if_turned if candidate.turns else least)
-            and (of_cloud or not candidate.of_cloud)
-        ]
-        pairs.sort(key=lambda one: -one[0])
-        without = [one for one in pairs if one[1].without and one[0] >= pairs[0][0] - SIMILAR]
-        findings = []
-        for score, candidate in (without or pairs)[:MOST_CANDIDATES]:
-            name = "+".join(one.hypothesis.name for one in candidate.changed)
-            left_out = candidate.changed[0] if candidate.without else None
-            findings.append(Finding(name, tuple(views), score, score - before, left_out))
-        return findings
+        findings: list[Finding] = []
+        for score, candidate in zip(scores, self.candidates, strict=True):
+            hypotheses = candidate.hypotheses
+            turns = any(hypothesis.turns for hypothesis in hypotheses)
+            about_cloud = any(hypothesis.of_cloud for hypothesis in hypotheses)
+            if score >= (if_turned if turns else least) and (of_cloud or not about_cloud):
+                gain = score - before
+                findings.append(replace(candidate, views=tuple(views), score=score, gain=gain))
+        findings.sort(key=lambda finding: -finding.score)
+        least = max((finding.score for finding in findings), default=0.0) - SIMILAR
+        simpler = [finding for finding in findings if finding.without and finding.score >= least]
+        return (simpler or findings)[:MOST_CANDIDATES]
 
 
 def agreement(points: Array, views: Sequence[View]) -> float:
@@ -136,29 +118,29 @@ def explain(
     """
     large = np.array([outline.foreground_cells >= FEWEST_CELLS for outline in outlines])
     table = Table(points, outlines, given)
-    shown = np.flatnonzero(large & ~boxes)
-    if not len(shown):
+    telling = np.flatnonzero(large & ~boxes)
+    if not len(telling):
         return Candidates()
-    of_input = table.likely(shown.tolist())
-    best = max((one.score for one in of_input), default=0.0)
-    pairs = _mispaired(points, outlines, given, shown, best)
-    return Candidates(tuple(pairs), tuple(of_input), tuple(_of_views(table, shown)))
+    of_input = table.likely(telling.tolist())
+    best = max((finding.score for finding in of_input), default=0.0)
+    pairs = _mispaired(points, outlines, given, telling, best)
+    return Candidates(tuple(pairs), tuple(of_input), tuple(_of_views(table, telling)))
 
 
-def _candidates(given: tuple[Assumption, ...], cameras: Sequence[Camera]) -> Iterator[Candidate]:
-    yield Candidate(given)
-    for one in given:
-        yield Candidate(tuple(other for other in given if other is not one), (one,), True)
-    alone = [one for one in HYPOTHESES.values() if all(map(one.applies, cameras))]
-    if not any(one.hypothesis.name.startswith(OF_WIDTH) for one in given):
-        alone += [of_width(*size) for size in _widths(cameras)]
-    two = list(product(OF_AXES, UPRIGHT))
+def _candidates(given: Sequence[Assumption], cameras: Sequence[Camera]) -> Iterator[Finding]:
+    for assumption in given:
+        yield Finding(assumption.hypothesis.name, without=assumption)
+    single = [
+        hypothesis for hypothesis in HYPOTHESES.values() if all(map(hypothesis.applies, cameras))
+    ]
+    if not any(assumption.hypothesis.name.startswith(OF_WIDTH) for assumption in given):
+        single += [of_width(*size) for size in _widths(cameras)]
+    pairs = list(product(OF_AXES, UPRIGHT))
     if not any(map(focal_in_pixels, cameras)):
-        two += product(FOCAL_UNITS, OF_AXES)
-    for hypotheses in ((one,) for one in alone), two:
-        for changed in (tuple(map(Assumption, names)) for names in hypotheses):
-            if not set(changed) & set(given):
-                yield Candidate((*given, *changed), changed)
+        pairs += product(FOCAL_UNITS, OF_AXES)
+    for hypotheses in (*product(single), *pairs):
+        if not set(map(Assumption, hypotheses)) & set(given):
+            yield Finding("+".join(hypothesis.name for hypothesis in hypotheses))
 
 
 def _widths(cameras: Sequence[Camera]) -> list[tuple[int, ...]]:
@@ -166,40 +148,40 @@ def _widths(cameras: Sequence[Camera]) -> list[tuple[int, ...]]:
 
     The principal point lies in the middle of such an image.
     """
-    found: Counter[tuple[int, ...]] = Counter()
+    sizes: Counter[tuple[int, ...]] = Counter()
     for camera in cameras:
         size = np.array([camera.width, camera.height])
         of_K = 2.0 * camera.K[:2, 2] + 1.0
         if (of_K < 2.0).any():
             continue
         across, down = of_K / size
-        kept = abs(across / down - 1.0) < SAME_PROPORTIONS
-        if max(across, down, 1.0 / across, 1.0 / down) < (RESIZED if kept else SQUASHED):
+        resized = abs(across / down - 1.0) < SAME_PROPORTIONS
+        if max(across, down, 1.0 / across, 1.0 / down) < (RESIZED if resized else SQUASHED):
             continue
         width, height = (int(length) for length in np.rint(of_K))
-        found[(width,) if kept else (width, height)] += 1
+        sizes[(width,) if resized else (width, height)] += 1
     # A width of 0 has no name, and neither has one of seven digits.
-    named = [size for size, _ in found.most_common() if hypothesis_called(of_width(*size).name)]
+    named = [size for size, _ in sizes.most_common() if hypothesis_called(of_width(*size).name)]
     return named[:MOST_WIDTHS]
 
 
-def _of_views(table: Table, shown: Indices) -> list[Finding]:
+def _of_views(table: Table, views: Indices) -> list[Finding]:
     """What may be right for one view that disagrees with the cloud, and not for the others."""
-    found = []
-    for view in shown.tolist():
-        others = table.ious[0, shown[shown != view]]
+    findings = []
+    for view in views.tolist():
+        ious = table.ious[0, views[views != view]]
         # By the median, so that another bad view does not hide this one.
-        if len(others) and np.median(others) >= table.ious[0, view] + BELOW_OTHERS:
+        if len(ious) and np.median(ious) >= table.ious[0, view] + BELOW_OTHERS:
             candidates = table.likely([view], of_cloud=False)
-            found += [one for one in candidates if one.gain >= BELOW_OTHERS]
-    return found
+            findings += [finding for finding in candidates if finding.gain >= BELOW_OTHERS]
+    return findings
 
 
 def _mispaired(
     points: Array,
     outlines: Sequence[Outline],
     given: Sequence[Assumption],
-    shown: Indices,
+    views: Indices,
     otherwise: float,
 ) -> list[Finding]:
     """The finding that cameras see other masks than their own, or nothing.
@@ -207,11 +189,11 @@ def _mispaired(
     Another order of the masks is one more hypothesis: the mean IoU of the best pairing must be
     better than the best IoU ``otherwise``.
     """
-    if not 2 <= len(shown) <= MOST_PAIRED:
+    if not 2 <= len(views) <= MOST_PAIRED:
         return []
-    compared = [outlines[int(view)] for view in shown]
+    compared = [outlines[int(view)] for view in views]
     # [camera, mask]
-    ious = np.zeros((len(shown), len(shown)))
+    ious = np.zeros((len(views), len(views)))
     for i, of_camera in enumerate(compared):
         x, y, (inverted,) = of_camera.project(points, [given])
         for k, of_mask in enumerate(compared):
@@ -225,14 +207,13 @@ def _mispaired(
 
     best = linear_sum_assignment(ious, maximize=True)[1]
     # The best pairing may exchange views that look alike too.
-    paired = ious[np.arange(len(shown)), best]
-    moved = np.flatnonzero(paired > ious.diagonal() + SIMILAR)
-    if not len(moved):
+    paired = ious[np.arange(len(views)), best]
+    gaining = np.flatnonzero(paired > ious.diagonal() + SIMILAR)
+    if not len(gaining):
         return []
-    before, score = float(ious.diagonal()[moved].mean()), float(paired[moved].mean())
-    enough = score >= max(before + GAIN, LEAST_IOU)
-    if not enough or paired.mean() < otherwise + SIMILAR:
+    before, score = float(ious.diagonal()[gaining].mean()), float(paired[gaining].mean())
+    if score < max(before + GAIN, LEAST_IOU) or paired.mean() < otherwise + SIMILAR:
         return []
-    pairs = tuple((int(shown[best[i]]), int(shown[i])) for i in moved)
-    views = tuple(sorted(camera for _, camera in pairs))
-    return [Finding("mispaired", views, score, score - before, pairs=pairs)]
+    pairs = tuple((int(views[best[i]]), int(views[i])) for i in gaining)
+    exchanged = tuple(sorted(camera for _, camera in pairs))
+    return [Finding("mispaired", exchanged, score, score - before, pairs=pairs)]

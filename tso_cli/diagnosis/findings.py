@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from .assumptions import Assumption
@@ -113,8 +113,13 @@ class Finding:
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
         """What is right if the finding is; () of a symptom."""
-        found = map(hypothesis_called, self.name.split("+"))
-        return tuple(one for one in found if one)
+        return tuple(filter(None, map(hypothesis_called, self.name.split("+"))))
+
+    def assumed(self, given: Iterable[Assumption]) -> list[Assumption]:
+        """What is assumed if the finding is right, where the ``given`` assumptions were."""
+        if self.without:
+            return [assumption for assumption in given if assumption != self.without]
+        return [*given, *map(Assumption, self.hypotheses)]
 
     @property
     def says(self) -> str:
@@ -122,7 +127,7 @@ class Finding:
         if self.without:
             return f"the assumption {self.without.text} is wrong"
         if self.hypotheses:
-            return " and ".join(one.says for one in self.hypotheses)
+            return " and ".join(hypothesis.says for hypothesis in self.hypotheses)
         return SYMPTOMS[self.name].format(**self.values)
 
     def __str__(self) -> str:

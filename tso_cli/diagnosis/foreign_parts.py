@@ -72,8 +72,8 @@ def foreign_parts(points: Array, view: View) -> Parts | None:
         return None
     least = LEAST_SHARE * silhouette.sum()
     in_mask, in_cloud = (
-        _large_parts(some & known & ~_dilated(other, apart), least)
-        for some, other in ((inside, silhouette), (silhouette, inside))
+        _large_parts(first & known & ~_dilated(second, apart), least)
+        for first, second in ((inside, silhouette), (silhouette, inside))
     )
     around = _dilated(in_mask | in_cloud, AROUND * apart + 1.0)
     ignored, beyond = _in_pixels(around, box, view)
@@ -101,11 +101,11 @@ def parts_that_explain(body: Body, views: Sequence[View], move: Move) -> dict[in
     parts = {number: part for number, part in enumerate(by_view) if part}
     if not parts:
         return {}
-    missed, kept = missed_in_parts(body, views, counted)
+    missed, share = missed_in_parts(body, views, counted)
     most = min(
         EXPLAINED_WITHOUT_MOVING, LEFT_WITHOUT_MOVING * move.missed, move.stretched - SIMILAR
     )
-    return parts if missed < most and kept >= LEAST_KEPT else {}
+    return parts if missed < most and share >= LEAST_KEPT else {}
 
 
 def parts_seen(
@@ -114,27 +114,27 @@ def parts_seen(
     """By number of the view, what the ``prior`` takes for something else in the masks."""
     # Depth maps may not be fitted to the cloud yet.
     masks = [replace(view, depth=None) for view in views]
-    shown = windowed(masks, cloud, SIGMA_SQ, cloud.control_points)
+    windows = windowed(masks, cloud, SIGMA_SQ, cloud.control_points)
     frame = Frame.of(cloud.start)
-    seen = seen_cloud(cloud.start, shown, [1.0] * len(shown), frame)
-    if len(seen.views) < len(shown):  # the cloud is at a camera
+    seen = seen_cloud(cloud.start, windows, [1.0] * len(windows), frame)
+    if len(seen.views) < len(windows):  # the cloud is at a camera
         return {}
     parts = {}
-    for number, (view, foreign) in enumerate(zip(shown, seen.doubts(prior).foreign, strict=True)):
+    for number, (view, foreign) in enumerate(zip(windows, seen.doubts(prior).foreign, strict=True)):
         if (part := _foreign(view, frame, foreign)) is not None:
             parts[number] = part
     return parts
 
 
-def _foreign(shown: WindowedView, frame: Frame, probability: Array) -> Parts | None:
+def _foreign(windowed_view: WindowedView, frame: Frame, probability: Array) -> Parts | None:
     """The part of a mask that is probably foreign, by the cells of the prior's maps; or None."""
-    window, foreign = shown.resampled, probability > LIKELY
+    window, foreign = windowed_view.resampled, probability > LIKELY
     cell, inside = cells_of_maps(window.camera, frame), window.target.inside
     around = _dilated(foreign, NEXT)[cell]
     in_mask = inside & foreign[cell]
     if not in_mask.any() or not (inside & ~around).any():
         return None
-    ignored, _ = _in_pixels(around, window.box, shown.view)
+    ignored, _ = _in_pixels(around, window.box, windowed_view.view)
     return Parts(window.box, ignored, float(in_mask.sum() / (inside & ~in_mask).sum()), 0.0)
 
 
@@ -177,5 +177,5 @@ def _in_pixels(cells: Bits, box: Box, view: View) -> tuple[Bits, Bits]:
         places.append(cell.astype(np.int64))
     rows, columns = places[0][:, None], places[1]
     within = (rows >= 0) & (rows < side) & (columns >= 0) & (columns < side)
-    clipped = (np.clip(some, 0, side - 1) for some in (rows, columns))
+    clipped = (np.clip(index, 0, side - 1) for index in (rows, columns))
     return within & cells[tuple(clipped)], ~within

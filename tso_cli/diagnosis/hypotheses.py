@@ -29,10 +29,6 @@ def _as_read(camera: Camera) -> Camera:
     return camera
 
 
-def _always(camera: Camera) -> bool:
-    return True
-
-
 def permutation(axes: str) -> Array:
     """[n, n], the orthogonal matrix of ``axes`` in words, as "x z -y": row i is the i-th axis."""
     names = axes.split()
@@ -49,7 +45,6 @@ class Hypothesis:
     camera : the camera that is meant, from the camera as it was read.
     picture : the x and y of the picture that is meant, in the axes of the mask as it was read.
     inverted : whether foreground and background of the mask are exchanged.
-    applies : whether it may hold for a camera as it was read.
     """
 
     name: str
@@ -58,7 +53,6 @@ class Hypothesis:
     camera: CameraChange = _as_read
     picture: str = "x y"
     inverted: bool = False
-    applies: Callable[[Camera], bool] = _always
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Hypothesis) and other.name == self.name
@@ -88,6 +82,13 @@ class Hypothesis:
         """Whether the cloud is turned, so that it has other extents in the picture."""
         return self.axes != "x y z"
 
+    def applies(self, camera: Camera) -> bool:
+        """Whether it may hold for a ``camera`` as it was read."""
+        if self in FOCAL_UNITS:
+            return not focal_in_pixels(camera)
+        # A picture that is turned by a right angle has the same size only if it is square.
+        return self.picture not in ("-y x", "y -x") or camera.width == camera.height
+
     @cached_property
     def matrix(self) -> Array:
         """[3, 3], from points of the cloud to points of the scene; orthogonal."""
@@ -112,42 +113,24 @@ def _unit(factor: float) -> CameraChange:
     """The cloud's unit is ``factor`` times the camera's unit."""
 
     def in_units_of_cloud(camera: Camera) -> Camera:
-        K = camera.K
-        if camera.model == "orthographic":
-            K = K @ np.diag([factor, factor, 1.0])
+        flat = camera.model == "orthographic"
+        K = camera.K @ np.diag([factor, factor, 1.0]) if flat else camera.K
         return replace(camera, K=K, t=camera.t / factor)
 
     return in_units_of_cloud
 
 
-def _of_shares(camera: Camera) -> Camera:
-    """K is in shares of width and height, with pixel centres at halves, as MoGe's."""
-    return replace(camera, K=from_shares(camera.K, camera.width, camera.height))
-
-
 def _of_ndc(camera: Camera) -> Camera:
-    """K is in PyTorch3D's normalised device coordinates."""
     half = min(camera.width, camera.height) / 2.0
     K = np.diag([half, half, 1.0]) @ camera.K
     K[:2, 2] = np.array([camera.width, camera.height]) / 2.0 - 0.5 - K[:2, 2]
     return replace(camera, K=K)
 
 
-def _focal(change: Callable[[Camera], float]) -> CameraChange:
-    """The focal length is multiplied by ``change``."""
-
-    def changed(camera: Camera) -> Camera:
-        factor = change(camera)
-        K = camera.K.copy()
-        K[[0, 1, 0], [0, 1, 1]] *= factor
-        return replace(camera, K=K)
-
-    return changed
-
-
-def _of_sensor(millimetres: float) -> CameraChange:
-    """The focal length is in mm of a sensor of this width."""
-    return _focal(lambda camera: camera.width / millimetres)
+def _focal(factor: Callable[[Camera], float]) -> CameraChange:
+    """The focal length is multiplied by ``factor``."""
+    entries = np.array([[1, 1, 0], [0, 1, 0], [0, 0, 0]], bool)
+    return lambda camera: replace(camera, K=camera.K * np.where(entries, factor(camera), 1.0))
 
 
 def _of_degrees(camera: Camera) -> float:
@@ -155,24 +138,8 @@ def _of_degrees(camera: Camera) -> float:
     return camera.width / 2.0 / np.tan(np.radians(degrees / 2.0)) / float(camera.K[0, 0])
 
 
-def _principal_point_swapped(camera: Camera) -> Camera:
-    K = camera.K.copy()
-    K[:2, 2] = K[1::-1, 2]
-    return replace(camera, K=K)
-
-
-def _square(camera: Camera) -> bool:
-    return camera.width == camera.height
-
-
-def _mask(
-    name: str, says: str, picture: str, applies: Callable[[Camera], bool] = _always
-) -> Hypothesis:
-    return Hypothesis(f"mask-{name}", f"the mask is {says}", picture=picture, applies=applies)
-
-
-def _cloud(name: str, says: str, axes: str) -> Hypothesis:
-    return Hypothesis(f"cloud-{name}", says, axes)
+def _mask(name: str, says: str, picture: str) -> Hypothesis:
+    return Hypothesis(f"mask-{name}", f"the mask is {says}", picture=picture)
 
 
 def _units(what: str, unit: str, metres: float) -> Hypothesis:
@@ -183,13 +150,6 @@ def _units(what: str, unit: str, metres: float) -> Hypothesis:
 
 def _size(name: str, says: str, factor: float) -> Hypothesis:
     return Hypothesis(f"cloud-{name}", f"the cloud is {says}", camera=_unit(factor))
-
-
-def _focal_unit(name: str, says: str, camera: CameraChange) -> Hypothesis:
-    def not_in_pixels(camera: Camera) -> bool:
-        return not focal_in_pixels(camera)
-
-    return Hypothesis(name, says, camera=camera, applies=not_in_pixels)
 
 
 _OPENGL, _X_LEFT = _axes(1.0, -1.0, -1.0), _axes(-1.0, -1.0, 1.0)
@@ -216,19 +176,32 @@ OF_AXES = (
     Hypothesis("R-transposed", "R is transposed, or multiplies rows", camera=_transposed),
 )
 UPRIGHT = (
-    _cloud("z-up", "the cloud's z points up, the scene's y", "x z -y"),
-    _cloud("y-up", "the cloud's y points up, the scene's z", "x -z y"),
-    _cloud("upside-down", "the cloud is upside down", "x -y -z"),
+    Hypothesis("cloud-z-up", "the cloud's z points up, the scene's y", "x z -y"),
+    Hypothesis("cloud-y-up", "the cloud's y points up, the scene's z", "x -z y"),
+    Hypothesis("cloud-upside-down", "the cloud is upside down", "x -y -z"),
 )
 FOCAL_UNITS = (
-    _focal_unit("K-normalised", "K is in shares of the width and height", _of_shares),
-    _focal_unit("K-ndc", "K is in normalised device coordinates, as PyTorch3D's", _of_ndc),
-    _focal_unit("focal-mm-36", f"{_MM.format(36)} (focal-mm-32: 32 mm)", _of_sensor(36.0)),
-    _focal_unit("focal-mm-32", f"{_MM.format(32)}, as Pix3D's", _of_sensor(32.0)),
-    _focal_unit(
+    Hypothesis(
+        "K-normalised",
+        "K is in shares of the width and height",
+        # Pixel centres are at halves, as MoGe's.
+        camera=lambda camera: replace(camera, K=from_shares(camera.K, camera.width, camera.height)),
+    ),
+    Hypothesis("K-ndc", "K is in normalised device coordinates, as PyTorch3D's", camera=_of_ndc),
+    Hypothesis(
+        "focal-mm-36",
+        f"{_MM.format(36)} (focal-mm-32: 32 mm)",
+        camera=_focal(lambda camera: camera.width / 36.0),
+    ),
+    Hypothesis(
+        "focal-mm-32",
+        f"{_MM.format(32)}, as Pix3D's",
+        camera=_focal(lambda camera: camera.width / 32.0),
+    ),
+    Hypothesis(
         "focal-degrees",
         "the focal length is the horizontal field of view in degrees",
-        _focal(_of_degrees),
+        camera=_focal(_of_degrees),
     ),
 )
 HYPOTHESES = {
@@ -238,14 +211,14 @@ HYPOTHESES = {
         _mask("flipped", "flipped left to right", "-x y"),
         _mask("upside-down", "upside down", "x -y"),
         _mask("turned", "turned by 180 degrees", "-x -y"),
-        _mask("turned-left", "turned by 90 degrees to the left", "-y x", _square),
-        _mask("turned-right", "turned by 90 degrees to the right", "y -x", _square),
+        _mask("turned-left", "turned by 90 degrees to the left", "-y x"),
+        _mask("turned-right", "turned by 90 degrees to the right", "y -x"),
         *UPRIGHT,
-        _cloud("xy-swapped", "x and y of the cloud are exchanged", "y x z"),
-        _cloud("yz-swapped", "y and z of the cloud are exchanged", "x z y"),
-        _cloud("xz-swapped", "x and z of the cloud are exchanged", "z y x"),
-        _cloud("yzx", "the cloud's axes are y, z, x", "z x y"),
-        _cloud("zxy", "the cloud's axes are z, x, y", "y z x"),
+        Hypothesis("cloud-xy-swapped", "x and y of the cloud are exchanged", "y x z"),
+        Hypothesis("cloud-yz-swapped", "y and z of the cloud are exchanged", "x z y"),
+        Hypothesis("cloud-xz-swapped", "x and z of the cloud are exchanged", "z y x"),
+        Hypothesis("cloud-yzx", "the cloud's axes are y, z, x", "z x y"),
+        Hypothesis("cloud-zxy", "the cloud's axes are z, x, y", "y z x"),
         *(_units("cloud", name, metres) for name, metres in _LENGTHS.items()),
         *(_units("camera", name, 1.0 / metres) for name, metres in _LENGTHS.items()),
         _size("ten-times-large", "ten times too large, as millimetres for centimetres", 0.1),
@@ -262,7 +235,9 @@ HYPOTHESES = {
         Hypothesis(
             "principal-point-swapped",
             "x and y of the principal point are exchanged",
-            camera=_principal_point_swapped,
+            camera=lambda camera: replace(
+                camera, K=np.column_stack([camera.K[:, :2], camera.K[[1, 0, 2], 2]])
+            ),
         ),
     )
 }

@@ -41,21 +41,21 @@ def place(points: Array, view: View) -> Placement:
     """Project ``points`` [N, 3] (world units) into ``view`` and count where they fall."""
     camera = view.camera
     pixels, depth, front = camera.project_visible(points)
-    seen = pixels[front]
-    columns, rows = np.rint(seen).T
+    visible = pixels[front]
+    columns, rows = np.rint(visible).T
     inside = (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
     on_mask = view.mask[rows[inside].astype(int), columns[inside].astype(int)] > 0.5
     mask_box = _as_floats(view.box())
-    box, overlap = None, 0.0
-    if len(seen):
+    box, overlap, distances = None, 0.0, None
+    if len(visible):
+        distances = float(depth[front].min()), float(depth[front].max())
         # Half a pixel around the points: a cloud of one column has a width, as the mask's box has.
-        low, high = bounds(seen)
+        low, high = bounds(visible)
         low = np.maximum(low - 0.5, -0.5)
         high = np.minimum(high + 0.5, [camera.width - 0.5, camera.height - 0.5])
         if (high > low).all():
             box = _as_floats((*low, *high))
             overlap = box_iou(box, mask_box)
-    distances = (float(depth[front].min()), float(depth[front].max())) if len(seen) else None
     return Placement(
         points=len(points),
         behind=int((~front).sum()),

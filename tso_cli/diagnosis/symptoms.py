@@ -15,19 +15,12 @@ from .placement import Placement
 
 # A mask with fewer pixels, in all and along its longer side, is coarse.
 FEWEST_PIXELS = 16
-
-
-class BoundingBox:
-    """A mask that fills its bounding box is probably a detector's box, unless the cloud does too.
-
-    The cloud's box is divided into cells, without the outermost points at each side.
-    """
-
-    MASK_FILLED = 0.99
-    CLOUD_FILLED = 0.92  # of the cells
-    CELLS = 10  # along the longer side of the cloud's box
-    TAILS = 0.01  # of the points
-    FEWEST_POINTS = 512  # fewer show no box, as do fewer pixels than `FEWEST_PIXELS` across
+# A mask that fills this share of its bounding box is probably a detector's box, unless the cloud
+# fills this share of the cells of its own box. That has this number of cells along its longer side,
+# and leaves out this share of the points at each side. Fewer points show no box, as do fewer pixels
+# across than `FEWEST_PIXELS`.
+MASK_FILLED, CLOUD_FILLED = 0.99, 0.92
+BOX_CELLS, BOX_TAILS, FEWEST_POINTS = 10, 0.01, 512
 
 
 def photo(view: View, number: int) -> Finding | None:
@@ -69,17 +62,17 @@ def bounding_box(outline: Outline, view: View, number: int, points: Array) -> Fi
     left, top, right, bottom = object_box(view.inside)
     if outline.may_be_inverted or min(right - left, bottom - top) < FEWEST_PIXELS:
         return None
-    if view.inside[top:bottom, left:right].mean() < BoundingBox.MASK_FILLED:
+    if view.inside[top:bottom, left:right].mean() < MASK_FILLED:
         return None
     pixels = view.camera.project(points)[0]
     pixels = pixels[visible_in(view, *pixels.T)]
-    if len(pixels) < BoundingBox.FEWEST_POINTS:
+    if len(pixels) < FEWEST_POINTS:
         return None
-    low, high = np.quantile(pixels, [BoundingBox.TAILS, 1.0 - BoundingBox.TAILS], axis=0)
+    low, high = np.quantile(pixels, [BOX_TAILS, 1.0 - BOX_TAILS], axis=0)
     size = np.maximum(high - low, 1e-9)
-    cells = np.ceil(BoundingBox.CELLS * size / size.max())
+    cells = np.ceil(BOX_CELLS * size / size.max())
     places = np.floor((pixels - low) / size * cells)
     inside = places[((places >= 0.0) & (places < cells)).all(1)]
-    if len(np.unique(inside, axis=0)) >= BoundingBox.CLOUD_FILLED * float(cells.prod()):
+    if len(np.unique(inside, axis=0)) >= CLOUD_FILLED * float(cells.prod()):
         return None
     return Finding("box", (number,))

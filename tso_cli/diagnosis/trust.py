@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
 
 from .confidence import REASONS
 from .examine import Diagnosis
@@ -68,6 +68,10 @@ class Facts:
     def is_sure(self) -> bool:
         return self.confidence >= LEAST_CONFIDENCE
 
+    @property
+    def is_small(self) -> bool:
+        return self.far <= MOST_OF_DOUBTFUL
+
 
 @dataclass(frozen=True)
 class Trust:
@@ -93,130 +97,100 @@ class Trust:
     features: dict[str, float] = field(default_factory=dict)
 
 
-def _always(facts: Facts) -> bool:
-    return True
-
-
-def _never(facts: Facts) -> bool:
-    return False
-
-
-def _if_small(facts: Facts) -> bool:
-    return facts.far <= MOST_OF_DOUBTFUL
-
-
-def _if_outvoted(facts: Facts) -> bool:
-    """What is wrong with few views, the others outvote."""
-    return facts.diagnosis.outvoted and facts.is_sure
-
-
-@dataclass(frozen=True)
-class Rule:
-    """A row of the table.
-
-    holds : when it decides. moves : whether the displacement is then taken. why : the reason, if
-    there is one. confidence : what is said of it; by default it is not known.
-    """
+class Rule(NamedTuple):
+    """A row of the table: where it ``holds``, what to think of the result."""
 
     holds: Callable[[Facts], bool]
-    verdict: Verdict | None
-    moves: Callable[[Facts], bool]
-    why: Callable[[Facts], Why] = lambda facts: NO_REASON
-    confidence: Callable[[Facts], float | None] = lambda facts: None
+    trust: Callable[[Facts], Trust]
+
+
+def _doubtful(
+    reason: str, says: str, moves: bool = False, confidence: float | None = None
+) -> Trust:
+    return Trust("doubtful", confidence, reason, says, moves)
 
 
 # The first rule that holds decides.
 RULES = (
-    # Something is probably wrong with the input.
+    # Something is probably wrong with the input. What is wrong with few views, the others outvote.
     Rule(
         lambda facts: bool(facts.diagnosis.suspicious),
-        "doubtful",
-        _if_outvoted,
-        lambda facts: (FINDING, words_of(facts.diagnosis)),
+        lambda facts: _doubtful(
+            FINDING, words_of(facts.diagnosis), facts.diagnosis.outvoted and facts.is_sure
+        ),
     ),
     Rule(
         lambda facts: bool(facts.notes(*UNSURE)),
-        "doubtful",
-        _never,
-        lambda facts: facts.notes(*UNSURE)[0],
+        lambda facts: _doubtful(*facts.notes(*UNSURE)[0]),
     ),
     Rule(
         lambda facts: min(facts.overlap) < LEAST_OVERLAP,
-        "doubtful",
-        _never,
-        lambda facts: (
-            "overlap",
-            f"cloud and mask hardly overlap (IoU {min(facts.overlap):.2f})",
+        lambda facts: _doubtful(
+            "overlap", f"cloud and mask hardly overlap (IoU {min(facts.overlap):.2f})"
         ),
     ),
     Rule(
         lambda facts: bool(facts.notes(ASSUMED_CAMERA)) and facts.overlap[0] < LEAST_IF_ASSUMED,
-        "doubtful",
-        _never,
-        lambda facts: facts.notes(ASSUMED_CAMERA)[0],
+        lambda facts: _doubtful(*facts.notes(ASSUMED_CAMERA)[0]),
     ),
     # The start stays. Only one that explains its masks whole is sure to be right.
     Rule(
         lambda facts: facts.stays and facts.diagnosis.fits,
-        "left",
-        _never,
-        confidence=lambda facts: None if facts.diagnosis.hidden else 1.0,
+        lambda facts: Trust("left", None if facts.diagnosis.hidden else 1.0, moves=False),
     ),
     Rule(
         lambda facts: facts.stays,
-        "left",
-        _never,
-        lambda facts: (
+        lambda facts: Trust(
+            "left",
+            None,
             "unexplained",
             "nothing that was tried agrees better with the masks, and the cloud misses "
             f"{facts.missed[0]:.0%} of their contours",
+            moves=False,
         ),
     ),
     # Nothing is known of what moved.
     Rule(
         lambda facts: facts.unknown != NO_REASON,
-        None,
-        _always,
-        lambda facts: facts.unknown,
+        lambda facts: Trust(None, None, *facts.unknown),
     ),
     # A move that was asked for is made; one that nobody asked for may be a mistake of the camera.
     Rule(
         lambda facts: facts.placed and facts.asked and not facts.explains,
-        "doubtful",
-        _always,
-        lambda facts: (
+        lambda facts: _doubtful(
             "move",
             f"the cloud missed {facts.missed[0]:.0%} of the contours, and misses "
             f"{facts.missed[1]:.0%} in its new place",
+            moves=True,
         ),
     ),
     # What its place gained is more than what its shape could lose.
-    Rule(lambda facts: facts.placed and facts.asked, "fits better", _always),
+    Rule(
+        lambda facts: facts.placed and facts.asked,
+        lambda facts: Trust("fits better", None),
+    ),
     Rule(
         lambda facts: facts.placed and not facts.asked,
-        "doubtful",
-        _if_small,
-        lambda facts: (
+        lambda facts: _doubtful(
             "place",
             "the cloud was out of place, or the camera is: masks cannot tell",
+            facts.is_small,
         ),
     ),
     Rule(
         lambda facts: not facts.is_sure,
-        "doubtful",
-        _if_small,
-        lambda facts: (facts.group, REASONS[facts.group]),
-        lambda facts: facts.confidence,
+        lambda facts: _doubtful(
+            facts.group, REASONS[facts.group], facts.is_small, facts.confidence
+        ),
     ),
-    Rule(_always, "fits better", _always, confidence=lambda facts: facts.confidence),
+    Rule(lambda facts: True, lambda facts: Trust("fits better", facts.confidence)),
 )
 
 
 def trust_of(facts: Facts, features: dict[str, float] | None = None) -> Trust:
     """What the first rule that holds says."""
     rule = next(rule for rule in RULES if rule.holds(facts))
-    verdict, confidence, moves = rule.verdict, rule.confidence(facts), rule.moves(facts)
-    return Trust(verdict, confidence, *rule.why(facts), moves, features or {})
+    return replace(rule.trust(facts), features=features or {})
 
 
 def words_of(diagnosis: Diagnosis) -> str:

@@ -39,22 +39,23 @@ def confirmed(
     """
 
     @cache
-    def as_given(shown: tuple[int, ...]) -> float:
-        return _missed(body, [as_meant(read[number], given) for number in shown])
+    def missed_as_given(numbers: tuple[int, ...]) -> float:
+        return _missed(body, [as_meant(read[number], given) for number in numbers])
 
     likely = []
     for finding in candidates:
         # Views that are paired rightly say nothing of the others.
-        shown = tuple(mask for mask, _ in closed(finding.pairs)) or finding.views
+        numbers = tuple(mask for mask, _ in closed(finding.pairs)) or finding.views
         views = views_under(finding, read, given)
-        missed = _missed(body, [views[number] for number in shown])
+        missed, before = _missed(body, [views[n] for n in numbers]), missed_as_given(numbers)
+        explained = before - missed + 2.0 * finding.gain
+        of_cloud = any(hypothesis.of_cloud for hypothesis in finding.hypotheses)
         # An inverted mask has the same contours.
-        inverted = any(one.inverted for one in finding.hypotheses)
-        left = LEFT_OF_ORDER if finding.pairs else LEFT
-        explained = as_given(shown) - missed + 2.0 * finding.gain
-        if any(one.of_cloud for one in finding.hypotheses) and explained < EXPLAINED_BY_CLOUD:
+        inverted = any(hypothesis.inverted for hypothesis in finding.hypotheses)
+        share = min((LEFT_OF_ORDER if finding.pairs else LEFT) + finding.gain, 1.0)
+        if of_cloud and explained < EXPLAINED_BY_CLOUD:
             continue
-        if inverted or missed < min(left + finding.gain, 1.0) * as_given(shown):
+        if inverted or missed < share * before:
             likely.append((missed - finding.gain, finding))
     return tuple(finding for _, finding in sorted(likely, key=lambda pair: pair[0]))
 
@@ -72,10 +73,7 @@ def views_under(
     hypothesis: Finding, read: Sequence[View], given: Sequence[Assumption]
 ) -> list[View]:
     """The views as they are meant if a hypothesis is right."""
-    assumed = [one for one in given if one != hypothesis.without]
-    if not hypothesis.without:
-        assumed += map(Assumption, hypothesis.hypotheses)
-    views = [as_meant(view, assumed) for view in read]
+    views = [as_meant(view, hypothesis.assumed(given)) for view in read]
     paired = dict(closed(hypothesis.pairs))
     return [
         replace(view, camera=views[paired.get(number, number)].camera)

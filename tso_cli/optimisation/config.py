@@ -8,7 +8,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..io.shipped import LEARNED, NO_PRIOR
 from ..option import AUTO, check, opt
-from ..pose.asked import Asked, Keep
+from ..pose import Asked, Keep
 from .presets import DEFAULTS, FEWEST_CONTROL_POINTS, MOST_POINTS, Mode, Preset
 
 MOVES = "What moves as one first (points mode)"

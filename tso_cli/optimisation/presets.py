@@ -10,7 +10,7 @@ from typing import Literal, get_args
 
 from ..cloud.control_points import CONTROL_POINTS
 from ..io.shipped import LEARNED, NO_PRIOR
-from ..pose.asked import Asked
+from ..pose import Asked
 
 Mode = Literal["points", "encoder", "encoder-decoder", "latent"]
 Preset = Literal["best", "paper"]

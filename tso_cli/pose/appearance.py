@@ -87,8 +87,8 @@ def _photo(view: View, image: Floats, side: int) -> tuple[Array, Array]:
     left, top, right, bottom = square_around(view)
     step = max(1, int((right - left) / side / PIXELS_ACROSS))
     box = (left / step, top / step, right / step, bottom / step)
-    some = np.s_[::step, ::step]
-    colour, covered = area_resize(image[some], box, side, side, weights=view.inside[some])
+    grid = np.s_[::step, ::step]
+    colour, covered = area_resize(image[grid], box, side, side, weights=view.inside[grid])
     return colour, covered * (covered > LEAST_COVERED)
 
 
@@ -97,13 +97,13 @@ def _drawn(
 ) -> tuple[Array, Bits]:
     """Mean colour [P, S, S, 3] of the visible points of each cell; which cells have any."""
     count, side, camera = len(placements), target.side, target.camera
-    seen = target.project(points, placements)
-    row, column, within = target.at(seen.px)
+    projected = target.project(points, placements)
+    row, column, within = target.at(projected.px)
     cell = (np.arange(count)[:, None] * side + row) * side + column
     front = np.full(count * side * side, np.inf)
-    np.minimum.at(front, cell[within], seen.depth[within])
-    width = 1.0 / (seen.inverse * placements.focal[:, None] * camera.K[0, 0])
-    visible = within & (seen.depth <= front[cell] + STEEPEST * width)
+    np.minimum.at(front, cell[within], projected.depth[within])
+    width = 1.0 / (projected.inverse * placements.focal[:, None] * camera.K[0, 0])
+    visible = within & (projected.depth <= front[cell] + STEEPEST * width)
     cell, painted = cell[visible], np.broadcast_to(colours, (*visible.shape, 3))[visible]
     hits = np.bincount(cell, minlength=len(front))
     total = np.stack([np.bincount(cell, channel, len(front)) for channel in painted.T], -1)

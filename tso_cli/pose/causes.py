@@ -14,31 +14,15 @@ import numpy as np
 
 from ..geometry.arrays import Array
 from ..geometry.view import View
-from .asked import Asked, Keep, Moved
-from .levenberg import Freedom, improve
+from . import Asked, Keep, Moved
+from .levenberg import Freedom
 from .move import FITS, FITS_NEARLY, Body, Move, unmoved
-from .placement import (
-    ASPECT,
-    FOCAL,
-    GROWTH,
-    PRINCIPAL,
-    UNKNOWNS,
-    Placements,
-)
-from .placing import GIVEN_ERROR, MOST_DEVIATIONS, Placing, find_asked_move
-from .search import (
-    EXPLAINED,
-    FROM_AFAR,
-    LEFT,
-    NEARER,
-    SIDE,
-    STEPS,
-    Comparison,
-)
+from .placement import ASPECT, FOCAL, GROWTH, PRINCIPAL, UNKNOWNS, Placements
+from .placing import GIVEN_ERROR, MOST_DEVIATIONS, Placing
+from .search import EXPLAINED, LEFT, SIDE, Comparison, SearchResult
 from .target import MARGIN
 
 Name = Literal["shift", "pose", "focal-length", "aspect", "principal-point", "outline", "stretch"]
-OF_PLACE: tuple[Name, ...] = ("shift", "pose")
 # Standard deviations of what is given: those of a placement, logarithms, longer sides of the
 # picture, pixels. A larger error is a mistake of another kind.
 DEVIATIONS = GIVEN_ERROR.copy()
@@ -83,17 +67,13 @@ class Cause:
     """Something that may be wrong.
 
     unknowns : how many numbers were fitted. missed : share of the contours that the cloud misses if
-    this is mended. placement : how cloud, cameras and masks are then. across, picture : longer
-    sides of the object and of the picture, pixels. error : how exactly masks show outlines, pixels.
+    this is mended. placement : how cloud, cameras and masks are then.
     """
 
     name: Name
     unknowns: int
     missed: float
     placement: Placements
-    across: float
-    picture: float
-    error: float
 
     @property
     def cost(self) -> float:
@@ -102,7 +82,7 @@ class Cause:
     @property
     def of_place(self) -> bool:
         """Whether the cloud is mended, by moving as one."""
-        return self.name in OF_PLACE
+        return self.name in ("shift", "pose")
 
     @property
     def change(self) -> Array:
@@ -110,66 +90,51 @@ class Cause:
         change: Array = self.placement.since(Placements.unmoved())[0]
         return change
 
-    @property
-    def is_small(self) -> bool:
-        """Whether a right camera or mask may be as far off."""
-        if self.of_place:
-            return False
-        change = np.abs(self.change)
-        of_lens = float(change[FOCAL] + change[ASPECT]) * self.across / 2.0
-        of_camera = of_lens + float(np.linalg.norm(change[PRINCIPAL])) * self.picture
-        of_mask = float(change[GROWTH])
-        least = LEAST_ERRORS * self.error
-        return of_mask < least and of_camera < max(least, LEAST_MOVED * self.across)
-
 
 def find_move(
     body: Body, views: Sequence[View], asked: Asked = "auto", keep: Keep = "auto"
 ) -> Move:
-    """What moves of what was ``asked`` for; with "auto" and "shape" as `find_likely_move`."""
-    if asked == "auto" or asked == "shape":
-        return find_likely_move(body, views, keep, asked == "auto")
-    return find_asked_move(body, views, asked, keep)
+    """What moves as one, of what was ``asked`` for.
 
-
-def find_likely_move(
-    body: Body, views: Sequence[View], keep: Keep = "auto", may_move: bool = True
-) -> Move:
-    """The move that explains why a cloud does not fit its masks; nothing if it does not.
-
-    Nothing moves if the cloud fits, if its shape may be wrong, or if a camera or a mask explains
-    the misfit about as well: then the move has these `Move.causes`. ``may_move`` : whether the
-    place of the cloud, and of the cameras, may be wrong.
+    "camera" : each camera by itself. "pose", "similarity" : the cloud stands where the masks would
+    have it, near where it was given, or anywhere if it does not fit there.
+    "auto" : what explains why the cloud does not fit its masks. Nothing moves if it fits, if its
+    shape may be wrong, or if a camera or a mask explains the misfit about as well: then the move
+    has these `Move.causes`. "shape" : the same where no place and no camera is wrong.
     """
-    problem = Placing(body, tuple(views))
-    given = float(problem.comparison.missed(Placements.unmoved())[0])
-    if given < FITS:
-        return unmoved(views, "the cloud fits the contours where it is", given)
+    problem = Placing(body, views)
+    if asked == "camera":
+        return problem.of_cameras()
+    if asked == "pose" or asked == "similarity":
+        return problem.placed(asked, keep)
+    missed = problem.comparison.missed_unmoved
+    if missed < FITS:
+        return unmoved(views, "the cloud fits the contours where it is", missed)
     # Of size and distance, the distance stays: it is longer than the object, so that a wrong
     # distance is a larger error than a wrong size.
-    keep = "distance" if keep == "auto" and not problem.both_found else keep
-    fitted = _fitted(problem, given, keep, may_move)
-    rivals = [cause for cause in fitted if _explains(cause, given)]
+    keep = "distance" if keep == "auto" and not problem.tells_size else keep
+    fitted = _fitted(problem, keep, asked == "auto")
     stretch = next(cause for cause in fitted if cause.name == "stretch")
-    rivals = [cause for cause in rivals if _is_simpler(cause, stretch)]
+    rivals = [cause for cause in fitted if _explains(cause, stretch, problem)]
     if not rivals:
-        settled = given < FITS_NEARLY and stretch.missed > LEFT_WITHOUT_MOVING * given
+        settled = missed < FITS_NEARLY and stretch.missed > LEFT_WITHOUT_MOVING * missed
         why = "the cloud fits the contours where it is"
         if not settled:
             why = "no small turn and shift explains the misfit"
             if any(view.truncated for view in views):
                 why = "a picture cuts off the object"
         growth = 0.0 if settled else _growth(problem, stretch.placement)
-        unexplained = replace(unmoved(views, why, given), settled=settled, growth=growth)
-        return replace(unexplained, stretched=stretch.missed)
+        move = unmoved(views, why, missed)
+        return replace(move, settled=settled, growth=growth, stretched=stretch.missed)
     rivals.sort(key=lambda cause: cause.cost)
     likely = [cause for cause in rivals if cause.cost < rivals[0].cost + SIMILAR]
     if not all(cause.of_place for cause in likely):
         why = "something else explains the misfit about as well"
-        return replace(unmoved(views, why, given), causes=tuple(likely))
+        return replace(unmoved(views, why, missed), causes=tuple(likely))
     first = likely[0]
     kind: Moved = "shift" if first.name == "shift" else "pose"
-    return problem.moved(kind, first.placement, given, first.missed, keep)
+    result = SearchResult(first.placement, missed, first.missed)
+    return problem.move(kind, result, problem.freedom(kind, keep)[1])
 
 
 def _growth(problem: Placing, stretched: Placements) -> float:
@@ -182,8 +147,8 @@ def _growth(problem: Placing, stretched: Placements) -> float:
     if abs(growth) <= MOST_GROWN:
         return growth
     exact = [replace(view, mask_error=None) for view in problem.normalised]
-    of_both = Placements.joined([stretched, replace(stretched, growth=np.zeros(1))])
-    missed, without = Comparison.of(problem.points, exact).missed(of_both)
+    placements = Placements.joined([stretched, replace(stretched, growth=np.zeros(1))])
+    missed, without = Comparison.of(problem.points, exact).missed(placements)
     if missed <= LEFT_BY_OUTLINE * without:
         return growth
     return float(np.copysign(MOST_GROWN, growth))
@@ -191,41 +156,36 @@ def _growth(problem: Placing, stretched: Placements) -> float:
 
 def missed_if_stretched(body: Body, views: Sequence[View]) -> float:
     """The share of the contours that a cloud misses if it stretches as they would have it."""
-    problem = Placing(body, tuple(views))
-    comparison, freedom = problem.comparison, problem.stretch
-    placement = _descended(comparison, Placements.unmoved(), freedom)
-    return float(comparison.missed(placement)[0])
+    problem = Placing(body, views)
+    placement, _ = problem.comparison.settled(Placements.unmoved(), problem.stretch, from_afar=True)
+    return float(problem.comparison.missed(placement)[0])
 
 
-def _descended(comparison: Comparison, placements: Placements, freedom: Freedom) -> Placements:
-    """The placements after short descents, drawn from afar and then nearer and nearer."""
-    for scale in (FROM_AFAR, max(NEARER, comparison.outline), comparison.outline):
-        placements, _ = improve(placements, comparison.exact(scale), freedom, STEPS)
-    return placements
-
-
-def _is_simpler(cause: Cause, stretch: Cause) -> bool:
-    """Whether a cause explains as much as a shape of other proportions.
+def _explains(cause: Cause, stretch: Cause, problem: Placing) -> bool:
+    """Whether a cause leaves hardly anything of what the cloud misses, no more than a stretch does.
 
     A thin cloud that is turned looks much like one that is stretched, so a turn has no advantage.
     """
-    return cause.missed <= stretch.missed if cause.of_place else cause.cost <= stretch.cost
+    most, share = MOST_LEFT[cause.name]
+    likely = bool(np.abs(cause.change / DEVIATIONS).max() <= MOST_DEVIATIONS)
+    if cause.missed >= min(most, share * problem.comparison.missed_unmoved) or not likely:
+        return False
+    if cause.of_place:
+        return cause.missed <= stretch.missed
+    # A right camera or mask may be off by a small change. Longer sides of object and picture, px:
+    change, target = np.abs(cause.change), problem.comparison.targets[0]
+    across, picture = SIDE / MARGIN / target.pixel, target.picture / target.pixel
+    of_lens = float(change[FOCAL] + change[ASPECT]) * across / 2.0
+    of_camera = of_lens + float(np.linalg.norm(change[PRINCIPAL])) * picture
+    least = LEAST_ERRORS * problem.outline_error
+    is_small = change[GROWTH] < least and of_camera < max(least, LEAST_MOVED * across)
+    return cause.cost <= stretch.cost and not is_small
 
 
-def _explains(cause: Cause, given: float) -> bool:
-    """Whether nearly nothing is left of what the cloud misses as ``given``."""
-    most, left = MOST_LEFT[cause.name]
-    likely = np.abs(cause.change / DEVIATIONS).max() <= MOST_DEVIATIONS
-    return cause.missed < min(most, left * given) and bool(likely) and not cause.is_small
-
-
-def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[Cause]:
-    """All causes, fitted at once."""
+def _fitted(problem: Placing, keep: Keep, may_move: bool) -> list[Cause]:
+    """All causes, fitted at once; ``may_move`` : also those of the cloud's place and of cameras."""
     unit = np.eye(UNKNOWNS)
-    bases: dict[Name, Array] = {
-        "outline": unit[:, [GROWTH]],
-        "stretch": problem.stretch.basis,
-    }
+    bases: dict[Name, Array] = {"outline": unit[:, [GROWTH]], "stretch": problem.stretch.basis}
     if may_move:
         bases |= {
             "focal-length": unit[:, [FOCAL]],
@@ -238,23 +198,23 @@ def _fitted(problem: Placing, given: float, keep: Keep, may_move: bool) -> list[
             "shift": problem.freedom("shift", keep)[0].basis,
             "pose": problem.freedom("pose", keep)[0].basis,
         }
+    numbers = {name: number for number, name in enumerate(bases)}
     most = max(basis.shape[1] for basis in bases.values())
     padded = [np.pad(basis, ((0, 0), (0, most - basis.shape[1]))) for basis in bases.values()]
     deviations = np.tile(DEVIATIONS, (len(bases), 1))
-    deviations[list(bases).index("stretch")] = problem.stretch.deviation
+    deviations[numbers["stretch"]] = problem.stretch.deviation
     freedom = Freedom(np.stack(padded), Placements.unmoved(), deviations)
     comparison = problem.comparison
     step = np.zeros((len(bases), UNKNOWNS))
     if "principal-point" in bases:
         # K of a crop is too far off for a descent from where it was given.
-        step[list(bases).index("principal-point"), PRINCIPAL] = _shift_of_boxes(problem)
-    placements = _descended(comparison, Placements.unmoved(len(bases)).stepped(step), freedom)
+        step[numbers["principal-point"], PRINCIPAL] = _shift_of_boxes(problem)
+    start = Placements.unmoved(len(bases)).stepped(step)
+    placements, _ = comparison.settled(start, freedom, from_afar=True)
     missed = comparison.missed(placements)
-    target = comparison.targets[0]
-    of_views = SIDE / MARGIN / target.pixel, target.picture / target.pixel, problem.outline_error
     return [
-        Cause(name, basis.shape[1], float(missed[i]), placements[i : i + 1], *of_views)
-        for i, (name, basis) in enumerate(bases.items())
+        Cause(name, bases[name].shape[1], float(missed[i]), placements[i : i + 1])
+        for name, i in numbers.items()
     ]
 
 
@@ -262,7 +222,7 @@ def _shift_of_boxes(problem: Placing) -> Array:
     """[2], the shift of the boxes of the masks against those of the cloud, in pictures."""
     shifts = []
     for target in problem.comparison.targets:
-        seen = target.project(problem.points, Placements.unmoved()).px[0]
-        ends = target.cells.min(0) + target.cells.max(0) - seen.min(0) - seen.max(0)
+        px = target.project(problem.points, Placements.unmoved()).px[0]
+        ends = target.cells.min(0) + target.cells.max(0) - px.min(0) - px.max(0)
         shifts.append(ends / 2.0 / target.picture)
     return np.mean(shifts, 0)

@@ -9,36 +9,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from ..geometry.arrays import Array, Floats
+from ..geometry.arrays import Array, Floats, Indices
 from ..geometry.camera import Camera, intrinsics
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
 from .appearance import appearance, decides
-from .everywhere import (
-    Candidates,
-    same_by_symmetry,
-    search_everywhere,
-    spacing,
-    spread_indices,
-)
+from .everywhere import Candidates, search_everywhere, spread_indices, unlike_first
 from .levenberg import Freedom
 from .placement import FOCAL, SHIFT, TURN, UNKNOWNS, Placements
 from .search import EXPLAINED, SURE_GAP, Comparison
 
-
-class Focal:
-    """The prior on the focal length, and the focal lengths that are tried."""
-
-    # In longer sides of the image: 47 degrees, between a phone's main lens (0.75) and the narrow
-    # views of renderers (1.9). The deviation is that of its logarithm.
-    MEAN, DEVIATION = 1.15, 0.4
-    # Tried, in multiples of the best. One fits as well if it misses no larger share of the contour
-    # than this beyond what the best misses.
-    FACTORS = np.geomspace(1.0 / 3.0, 3.0, 11)
-    TOLERANCE = 0.05
-
-
+# The prior on the focal length in longer sides of the image: 47 degrees, between a phone's main
+# lens (0.75) and the narrow views of renderers (1.9). The deviation is that of its logarithm.
+FOCAL_MEAN, FOCAL_DEVIATION = 1.15, 0.4
+# Focal lengths that are tried, in multiples of the best. One fits as well if it misses no larger
+# share of the contour than this beyond what the best misses.
+FOCAL_FACTORS, FOCAL_TOLERANCE = np.geomspace(1.0 / 3.0, 3.0, 11), 0.05
 FEWEST_POINTS = 16
 # Poses that differ by less fit a mask alike: of the share that they miss, or of the IoU.
 ALIKE = 0.1
@@ -115,27 +102,25 @@ class FittedCamera:
                 f"pose {number} was asked for, expected at most {count}: 1 + {count} poses were "
                 "found"
             )
-        one = self.alternatives[number - 1]
-        own = Alternative(self.camera, self.iou, self.missed, 0.0)
-        turned = [
-            replace(other, degrees=float(angle_between(other.camera.R, one.camera.R)))
-            for other in (own, *self.alternatives)
-            if other is not one
-        ]
-        return replace(
-            self,
-            camera=one.camera,
-            iou=one.iou,
-            missed=one.missed,
-            alternatives=tuple(turned),
-            focal_range=(float(one.camera.K[0, 0]),) * 2,
+        best = self.alternatives[number - 1]
+        first = Alternative(self.camera, self.iou, self.missed, 0.0)
+        alternatives = tuple(
+            replace(other, degrees=float(angle_between(other.camera.R, best.camera.R)))
+            for other in (first, *self.alternatives)
+            if other is not best
         )
+        focal = float(best.camera.K[0, 0])
+        return FittedCamera(best.camera, best.iou, best.missed, alternatives, (focal, focal))
+
+    @property
+    def rivals(self) -> list[Alternative]:
+        """The alternatives that look like the photo."""
+        return [other for other in self.alternatives if not other.unlike_photo]
 
     @property
     def gap(self) -> float:
         """How much more of the contour the best alternative misses that looks like the photo."""
-        rivals = [one.missed for one in self.alternatives if not one.unlike_photo]
-        return min(rivals, default=1.0) - self.missed
+        return min((rival.missed for rival in self.rivals), default=1.0) - self.missed
 
     @property
     def why_unsure(self) -> str:
@@ -145,11 +130,10 @@ class FittedCamera:
                 f"the cloud misses {self.missed:.0%} of the mask's contour, "
                 f"expected at most {EXPLAINED:.0%}"
             )
-        rivals = [one for one in self.alternatives if not one.unlike_photo]
-        other = min(rivals, key=lambda one: one.missed)
+        rival = min(self.rivals, key=lambda rival: rival.missed)
         return (
-            f"a camera turned by {other.degrees:.0f} degrees fits about as well "
-            f"(IoU {other.iou:.2f}, its own {self.iou:.2f})"
+            f"a camera turned by {rival.degrees:.0f} degrees fits about as well "
+            f"(IoU {rival.iou:.2f}, its own {self.iou:.2f})"
         )
 
 
@@ -181,69 +165,74 @@ def fit_camera(
     Raises InputError if the cloud has no extent or under 16 points, the mask has no object or no
     background, or the pixels of K are not square.
     """
-    array = as_points(points)
-    if len(array) < FEWEST_POINTS:
+    cloud = as_points(points)
+    if len(cloud) < FEWEST_POINTS:
         raise InputError(
-            f"the cloud holds {len(array)} points, "
+            f"the cloud holds {len(cloud)} points, "
             f"expected at least {FEWEST_POINTS} to fit a camera to a mask"
         )
-    centre, unit = bounding_box_normalisation(array)
-    local = (array - centre) / unit
-    shown = np.asarray(mask, dtype=np.float32)
-    height, width = shown.shape
+    centre, unit = bounding_box_normalisation(cloud)
+    normalised = (cloud - centre) / unit
+    pixels = np.asarray(mask, dtype=np.float32)
+    height, width = pixels.shape
     unknowns: list[slice | int] = [TURN, SHIFT]
-    if K is None:
-        focal = Focal.MEAN * max(width, height) if focal is None else focal
-        K = intrinsics(focal, width, height)
-        unknowns.append(FOCAL)
-    view = View(
-        shown, Camera(np.asarray(K, np.float64), np.eye(3), np.zeros(3), width, height), known, name
-    )
     deviations = np.full(UNKNOWNS, np.inf)
-    if FOCAL in unknowns:
-        deviations[FOCAL] = Focal.DEVIATION if deviation is None else deviation
-    freedom = replace(Freedom.of(Placements.unmoved(), *unknowns), deviation=deviations)
-    comparison = Comparison.of(local, [view])
-    found = search_everywhere(comparison, local, [view], freedom)
-    seen = np.zeros(len(found.missed))
-    if image is not None and colours is not None:
-        with_photo = replace(view, image=image)
-        seen = appearance(local, np.asarray(colours, np.float64), found.placements, with_photo)
-        found, seen = _by_photo(found, seen)
-    placements, index = found.placements, spread_indices(local)
-    spread = local[index]
-    gap = spacing(spread)
-    painted = None if colours is None else np.asarray(colours, np.float64)[index]
-    degrees = angle_between(placements.R, placements.R[0])
+    if K is None:
+        K = intrinsics(FOCAL_MEAN * max(width, height) if focal is None else focal, width, height)
+        unknowns.append(FOCAL)
+        deviations[FOCAL] = FOCAL_DEVIATION if deviation is None else deviation
+    camera = Camera(np.asarray(K, np.float64), np.eye(3), np.zeros(3), width, height)
+    view = View(pixels, camera, known, name)
+    freedom = Freedom.of(Placements.unmoved(), *unknowns, deviation=deviations)
+    comparison = Comparison.of(normalised, [view])
+    index = spread_indices(normalised)
+    candidates = search_everywhere(comparison, normalised[index], [view], freedom)
+    likeness = np.zeros(len(candidates.missed))
+    paint = None if colours is None else np.asarray(colours, np.float64)
+    if image is not None and paint is not None:
+        photo = replace(view, image=image)
+        likeness = appearance(normalised, paint, candidates.placements, photo)
+        order = _order_by_photo(candidates, likeness)
+        candidates, likeness = candidates[order], likeness[order]
+    R = candidates.placements.R
+    degrees = angle_between(R, R[0])
     cameras = [
-        _camera(view.camera, placements[i : i + 1], centre, unit) for i in range(len(placements))
+        _camera(camera, candidates.placements[i : i + 1], centre, unit) for i in range(len(R))
     ]
     alternatives = tuple(
         Alternative(
             cameras[i],
-            float(found.iou[i]),
-            float(found.missed[i]),
-            float(degrees[i]),
-            decides(float(seen[0]), float(seen[i])),
+            iou=float(candidates.iou[i]),
+            missed=float(candidates.missed[i]),
+            degrees=float(degrees[i]),
+            unlike_photo=decides(float(likeness[0]), float(likeness[i])),
         )
-        for i in range(1, len(placements))
-        if not same_by_symmetry(spread, placements.R[0], placements.R[i], gap, painted)
+        for i in unlike_first(normalised[index], R, None if paint is None else paint[index])
     )
-    focal_range = _focal_range(comparison, found) if FOCAL in unknowns else (1.0, 1.0)
-    low, high = (float(view.camera.K[0, 0] * factor) for factor in focal_range)
+    factors = _focal_factors(comparison, candidates) if FOCAL in unknowns else np.ones(1)
     return FittedCamera(
-        cameras[0], float(found.iou[0]), float(found.missed[0]), alternatives, (low, high)
+        cameras[0],
+        float(candidates.iou[0]),
+        float(candidates.missed[0]),
+        alternatives,
+        focal_range=(
+            float(camera.K[0, 0] * float(factors.min())),
+            float(camera.K[0, 0] * float(factors.max())),
+        ),
     )
 
 
-def _by_photo(found: Candidates, seen: Array) -> tuple[Candidates, Array]:
-    """The candidates, with the one first that the photo shows to be right, if it fits alike."""
-    alike = (found.missed <= found.missed[0] + ALIKE) | (found.iou >= found.iou[0] - ALIKE)
-    best = int(np.where(alike, seen, -np.inf).argmax())
-    if not decides(float(seen[best]), float(seen[0])):
-        return found, seen
-    order = np.array([best, *(i for i in range(len(seen)) if i != best)])
-    return Candidates(found.placements[order], found.missed[order], found.iou[order]), seen[order]
+def _order_by_photo(candidates: Candidates, likeness: Array) -> Indices:
+    """The order of the candidates with the one first that the photo shows to be right.
+
+    It is one of those that fit about as well as the best. ``likeness`` : their `appearance` [P].
+    """
+    fits = candidates.missed <= candidates.missed[0] + ALIKE
+    fits |= candidates.iou >= candidates.iou[0] - ALIKE
+    best = int(np.where(fits, likeness, -np.inf).argmax())
+    if not decides(float(likeness[best]), float(likeness[0])):
+        best = 0
+    return np.array([best, *(i for i in range(len(likeness)) if i != best)])
 
 
 def _camera(camera: Camera, placement: Placements, centre: Array, unit: float) -> Camera:
@@ -254,16 +243,15 @@ def _camera(camera: Camera, placement: Placements, centre: Array, unit: float) -
     return replace(camera, K=K, R=R, t=unit * placement.t[0] - R @ centre)
 
 
-def _focal_range(comparison: Comparison, found: Candidates) -> tuple[float, float]:
-    """The smallest and largest factor of the focal length that fits as well as the best.
+def _focal_factors(comparison: Comparison, candidates: Candidates) -> Array:
+    """The factors of the focal length that fit as well as the best, and that of the best.
 
     The rest of the pose is fitted to each.
     """
-    best = found.placements[np.zeros(len(Focal.FACTORS), np.int64)]
+    best = candidates.placements[np.zeros(len(FOCAL_FACTORS), np.int64)]
     # The cloud keeps its size in the picture.
-    further = Focal.FACTORS[:, None] * [0.0, 0.0, 1.0] + [1.0, 1.0, 0.0]
-    held = replace(best, focal=best.focal * Focal.FACTORS, t=best.t * further)
-    held, _ = comparison.settled(held, Freedom.of(Placements.unmoved(), TURN, SHIFT))
-    as_well = comparison.missed(held) <= found.missed[0] + Focal.TOLERANCE
-    factors = np.append(held.focal[as_well], best.focal[0])
-    return float(factors.min()), float(factors.max())
+    further = FOCAL_FACTORS[:, None] * [0.0, 0.0, 1.0] + [1.0, 1.0, 0.0]
+    starts = replace(best, focal=best.focal * FOCAL_FACTORS, t=best.t * further)
+    placements, _ = comparison.settled(starts, Freedom.of(Placements.unmoved(), TURN, SHIFT))
+    as_well = comparison.missed(placements) <= candidates.missed[0] + FOCAL_TOLERANCE
+    return np.append(placements.focal[as_well], best.focal[0])

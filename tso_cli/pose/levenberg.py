@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..geometry.arrays import Array
-from .placement import ASPECT, FOCAL, SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements, Rows
+from .placement import SCALES, SHIFT, TURN, UNKNOWNS, OfPlacements, Placements, Rows
 
 # The linear model holds for steps up to this: radians, logarithms, and sizes of the cloud.
 LARGEST_STEP = 0.4
-# The unknowns that are logarithms of lengths.
-SCALES = [SIZE, FOCAL, *range(STRETCH.start, STRETCH.stop), ASPECT]
 # How many residuals are independent of each other. A silhouette has many more pixels, but what a
 # wrong shape adds or lacks spans long pieces of its contour.
 INDEPENDENT = 30.0
@@ -21,19 +19,15 @@ INDEPENDENT = 30.0
 LEAST_MISFIT = 3e-3
 # A descent ends where a step gains less, in units of the posterior's logarithm.
 ENOUGH = 0.1
-
-
-class Damping:
-    """Of Levenberg-Marquardt, relative to the diagonal of the normal matrix."""
-
-    FIRST, LEAST, MOST = 1e-3, 1e-6, 10.0
-    FALL, RISE = 0.2, 10.0  # after a step that lowers the misfit, and after one that does not
-    # Of the largest diagonal element, for unknowns that no residual depends on.
-    ABSOLUTE = 1e-9
+# The damping, relative to the diagonal of the normal matrix; what it is multiplied by after a step
+# that lowers the misfit, and after one that does not; and what is added for unknowns that no
+# residual depends on, relative to the largest diagonal element.
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-6, 10.0
+FALL, RISE, ABSOLUTE_DAMPING = 0.2, 10.0, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class System(OfPlacements):
     """A sum of squares at P placements, and its linear model."""
 
     value: Array  # [P]
@@ -46,20 +40,11 @@ class System:
         return cls(np.zeros(count), square, np.zeros((count, UNKNOWNS)))
 
     def __add__(self, other: System) -> System:
-        names = [field.name for field in fields(self)]
-        return System(*(getattr(self, name) + getattr(other, name) for name in names))
+        pairs = zip(self.arrays().values(), other.arrays().values(), strict=True)
+        return System(*(first + second for first, second in pairs))
 
     def __rmul__(self, factor: float) -> System:
-        return System(factor * self.value, factor * self.normal, factor * self.gradient)
-
-    def __getitem__(self, rows: Rows) -> System:
-        return System(self.value[rows], self.normal[rows], self.gradient[rows])
-
-    def replaced(self, rows: Rows, other: System) -> System:
-        """The same with other ``rows``."""
-        value, normal, gradient = self.value.copy(), self.normal.copy(), self.gradient.copy()
-        value[rows], normal[rows], gradient[rows] = other.value, other.normal, other.gradient
-        return System(value, normal, gradient)
+        return System(*(factor * array for array in self.arrays().values()))
 
 
 Misfit = Callable[[Placements], System]
@@ -85,18 +70,15 @@ class Freedom:
     ) -> Freedom:
         """Each of the ``unknowns`` is free by itself; without ``deviation`` nothing is known."""
         unit = np.eye(UNKNOWNS)
-        columns = [unit[:, [one] if isinstance(one, int) else one] for one in unknowns]
+        columns = [unit[:, [index] if isinstance(index, int) else index] for index in unknowns]
         deviation = np.full(UNKNOWNS, np.inf) if deviation is None else deviation
         return cls(np.concatenate(columns, 1), given, deviation)
 
     def __getitem__(self, rows: Rows) -> Freedom:
         """Of some of the placements."""
-        basis, deviation = self.basis, self.deviation
-        return Freedom(
-            basis if basis.ndim == 2 else basis[rows],
-            self.given,
-            deviation if deviation.ndim == 1 else deviation[rows],
-        )
+        basis = self.basis if self.basis.ndim == 2 else self.basis[rows]
+        deviation = self.deviation if self.deviation.ndim == 1 else self.deviation[rows]
+        return replace(self, basis=basis, deviation=deviation)
 
     def posterior(self, misfit: Misfit) -> Misfit:
         """Minus twice the logarithm of the posterior density, if ``misfit`` is a mean of squares.
@@ -112,9 +94,8 @@ class Freedom:
             at = misfit(placements)
             value = at.value + LEAST_MISFIT
             steep = INDEPENDENT / value
-            if not precision.any():
-                change = np.zeros((len(placements), UNKNOWNS))
-            else:
+            change = np.zeros((len(placements), UNKNOWNS))
+            if precision.any():
                 change = placements.since(self.given)
             return System(
                 INDEPENDENT * np.log(value) + (np.square(change) * precision).sum(1),
@@ -132,7 +113,7 @@ def improve(
 
     No placement gets worse.
     """
-    damping = np.full(len(placements), Damping.FIRST)
+    damping = np.full(len(placements), FIRST_DAMPING)
     now = freedom.posterior(misfit)(placements)
     active = np.arange(len(placements))
     for _ in range(steps):
@@ -143,9 +124,9 @@ def improve(
         better = gain > 0.0
         placements = placements.replaced(active[better], tried[better])
         now = now.replaced(active[better], after[better])
-        factor = np.where(better, Damping.FALL, Damping.RISE)
-        damping[active] = np.maximum(factor * damping[active], Damping.LEAST)
-        active = active[np.where(better, gain > ENOUGH, damping[active] < Damping.MOST)]
+        factor = np.where(better, FALL, RISE)
+        damping[active] = np.maximum(factor * damping[active], LEAST_DAMPING)
+        active = active[np.where(better, gain > ENOUGH, damping[active] < MOST_DAMPING)]
         if not len(active):
             break
     return placements, now.value
@@ -156,7 +137,7 @@ def _step(placements: Placements, system: System, damping: Array, basis: Array) 
     transposed = np.swapaxes(basis, -1, -2)
     normal = transposed @ system.normal @ basis
     diagonal = np.einsum("pii->pi", normal)
-    least = Damping.ABSOLUTE * diagonal.max(1, keepdims=True) + np.finfo(float).tiny
+    least = ABSOLUTE_DAMPING * diagonal.max(1, keepdims=True) + np.finfo(float).tiny
     diagonal += damping[:, None] * diagonal + least
     step = (basis @ np.linalg.solve(normal, transposed @ system.gradient[..., None]))[..., 0]
     angle = np.linalg.norm(step[:, TURN], axis=1)

@@ -1,7 +1,8 @@
-"""How far a placed cloud is from the masks, in cells, with derivatives.
+"""How far a placed cloud is from masks and depth maps, in cells, with derivatives.
 
-Two misfits: of distances between nearest neighbours, which draws a cloud from afar, and of the gaps
-between the edge of the cloud and the contour of the mask, which is exact where the two nearly meet.
+Three misfits: of distances between nearest neighbours, which draws a cloud from afar; of the gaps
+between the edge of the cloud and the contour of the mask, which is exact where the two nearly meet;
+and of the distances from the visible side of the cloud to the surface of a depth map.
 """
 
 from __future__ import annotations
@@ -12,12 +13,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ..geometry.arrays import Array, Indices
+from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import scattered
 from ..geometry.resampling import blurred
 from .levenberg import System
 from .placement import GROWTH, UNKNOWNS, Placements
-from .target import Target
+from .target import Projected, Target
 
 # Distances under half a cell are inside a cell and count as 0.
 TOLERANCE = 0.5
@@ -25,6 +26,11 @@ TOLERANCE = 0.5
 MOST_CELLS = 400
 # Where a contour is that nothing is known of: no point is near.
 FAR = 1e6
+# Cells across the block whose foremost point is on the visible side. With fewer, points of the far
+# side show through the gaps of clouds of 1,000 points.
+BLOCK = 3
+# Where the surface is this many cells deeper from one cell to the next, it ends there.
+STEEPEST = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,24 +46,25 @@ class NearestMisfit:
 
     def __call__(self, placements: Placements) -> System:
         """Mean squares of both directions, summed over views."""
-        system = System.empty(len(placements))
-        for target in self.targets:
-            system = system + self._of(target, placements)
-        return system
+        systems = (self._of(target, placements) for target in self.targets)
+        return sum(systems, System.empty(len(placements)))
 
     def _of(self, target: Target, placements: Placements) -> System:
         count, system = len(self.points), System.empty(len(placements))
-        seen = target.project(self.points, placements)
-        rows = np.arange(len(placements))[:, None]
+        projected = target.project(self.points, placements)
+        rows, px = np.arange(len(placements))[:, None], projected.px
         cells = scattered(target.cells, MOST_CELLS)
-        to_point = _nearest_points(cells, seen.px)
-        row, column, within = target.at(seen.px)
+        # The nearest point to each cell, [P, M].
+        cells32, px32 = cells.astype(np.float32), px.astype(np.float32)
+        squared = px32 @ (-2.0 * cells32.T) + np.square(px32).sum(2)[..., None]
+        to_point = np.asarray(squared.argmin(1))
+        row, column, within = target.at(px)
         known = np.where(within, target.known[row, column], not target.truncated)
         outside = known & ~(target.inside[row, column] & within)
         all_points = np.broadcast_to(np.arange(count), outside.shape)
         pairs = (
-            (to_point, cells - seen.px[rows, to_point], 1.0 / len(cells)),
-            (all_points, target.nearest[row, column] - seen.px, outside / count),
+            (to_point, cells - px[rows, to_point], 1.0 / len(cells)),
+            (all_points, target.nearest[row, column] - px, outside / count),
         )
         for index, offset, weight in pairs:
             distance = np.linalg.norm(offset, axis=2)
@@ -66,19 +73,12 @@ class NearestMisfit:
             inlier = 1.0 / (1.0 + np.square(excess / self.robust))
             system.value[:] += (weight * excess**2 * inlier).sum(1)
             root = np.sqrt(weight * (excess > 0.0)) * inlier
-            J = seen.jacobian(rows, index) * root[..., None, None]
+            J = projected.jacobian(rows, index) * root[..., None, None]
             J = J.reshape(len(placements), -1, UNKNOWNS)
             residual = (offset * (beyond * root)[..., None]).reshape(len(placements), -1, 1)
             system.normal[:] += J.transpose(0, 2, 1) @ J
             system.gradient[:] += (J.transpose(0, 2, 1) @ residual)[..., 0]
         return system
-
-
-def _nearest_points(cells: Array, px: Array) -> Indices:
-    """The nearest of the points ``px`` [P, N, 2] to each of the ``cells`` [M, 2]: [P, M]."""
-    a, b = cells.astype(np.float32), px.astype(np.float32)
-    squared = b @ (-2.0 * a.T) + np.square(b).sum(2)[..., None]
-    return np.asarray(squared.argmin(1))
 
 
 def share_missed(placement: Indices, gap: Array, J: Array, count: int, pieces: int) -> System:
@@ -90,10 +90,10 @@ def share_missed(placement: Indices, gap: Array, J: Array, count: int, pieces: i
     inlier = 1.0 / (1.0 + np.square(gap))
     weighted = J * np.square(inlier)[:, None]
     ends = np.searchsorted(placement, np.arange(count + 1))
-    for number, some in enumerate(map(slice, ends[:-1], ends[1:])):
-        system.value[number] = (gap[some] ** 2 * inlier[some]).sum() + pieces - len(gap[some])
-        system.normal[number] = weighted[some].T @ J[some]
-        system.gradient[number] = weighted[some].T @ gap[some]
+    for number, rows in enumerate(map(slice, ends[:-1], ends[1:])):
+        system.value[number] = (gap[rows] ** 2 * inlier[rows]).sum() + pieces - len(gap[rows])
+        system.normal[number] = weighted[rows].T @ J[rows]
+        system.gradient[number] = weighted[rows].T @ gap[rows]
     return system
 
 
@@ -170,10 +170,10 @@ class ContourMisfit:
         """The mean over all pieces of all views."""
         system = System.empty(len(placements))
         for contour in self.contours:
-            seen, pixel = contour.target.project(self.points, placements), contour.target.pixel
-            row, point, sample, gap = self._near(contour, seen.px).first()
+            projected, pixel = contour.target.project(self.points, placements), contour.target.pixel
+            row, point, sample, gap = self._near(contour, projected.px).first()
             gap = (gap - pixel * placements.growth[row]) / self.robust
-            J = seen.jacobian(row, point, contour.normals[sample])
+            J = projected.jacobian(row, point, contour.normals[sample])
             J[:, GROWTH] = pixel
             J /= self.robust
             system = system + share_missed(row, gap, J, len(placements), contour.pieces)
@@ -188,11 +188,10 @@ class ContourMisfit:
         missed, half = np.zeros(len(placements)), len(self.points) // 2
         for contour in self.contours:
             px = contour.target.project(self.points, placements).px
-            parts = px[:, :half], px[:, half:]
-            of_halves = [self._near(contour, part).outermost for part in parts]
-            weighed = (np.minimum(*of_halves), 2.0), (of_halves[0], -0.5), (of_halves[1], -0.5)
+            first = self._near(contour, px[:, :half]).outermost
+            second = self._near(contour, px[:, half:]).outermost
             grown = contour.target.pixel * placements.growth[:, None]
-            for gap, weight in weighed:
+            for gap, weight in ((np.minimum(first, second), 2.0), (first, -0.5), (second, -0.5)):
                 squared = np.square((gap - grown) / self.robust)
                 missed += weight * (1.0 - 1.0 / (1.0 + squared)).sum(1)
         share: Array = missed / sum(contour.pieces for contour in self.contours)
@@ -236,3 +235,83 @@ class _Near:
         # Of points in one place, one counts.
         first = first[np.unique(self.piece[first], return_index=True)[1]]
         return self.placement[first], self.point[first], self.sample[first], self.gap[first]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The depth map of one view where it is smooth."""
+
+    target: Target
+    depth: Array  # [S, S]
+    slope: Array  # [S, S, 2] its derivative by column and row
+    known: Bits  # [S, S]
+    blocks: int  # how many blocks have a known cell
+
+    @classmethod
+    def of(cls, target: Target) -> Surface:
+        assert target.depth is not None
+        down, right = np.gradient(target.depth)
+        slope = np.stack([right, down], -1)
+        cell = target.depth / target.camera.K[0, 0]
+        # The comparison is false next to cells without a depth.
+        known = np.asarray(np.abs(slope).max(-1) < STEEPEST * cell)
+        row, column = np.nonzero(known)
+        blocks = len(np.unique(_block(target, row, column)))
+        return cls(target, target.depth, slope, known, blocks)
+
+    def farther(self, points: Array, placements: Placements) -> Array:
+        """[P], the median of how many times farther the surface is than the placed cloud."""
+        projected = self.target.project(points, placements)
+        placement, point, row, column = self.foremost(projected)
+        times = self.depth[row, column] / projected.depth[placement, point]
+        by_placement = [times[placement == number] for number in range(len(placements))]
+        return np.array([np.median(ratios) if len(ratios) else 1.0 for ratios in by_placement])
+
+    def foremost(self, projected: Projected) -> tuple[Indices, Indices, Indices, Indices]:
+        """For each placement and block the foremost point: placement, point, and its cell's row
+        and column, by placement.
+        """
+        row, column, within = self.target.at(projected.px)
+        placement, point = np.nonzero(within & self.known[row, column])
+        row, column = row[placement, point], column[placement, point]
+        key = placement * self.target.side**2 + _block(self.target, row, column)
+        order = np.lexsort((projected.depth[placement, point], key))
+        first = order[np.flatnonzero(np.diff(key[order], prepend=-1))]
+        return placement[first], point[first], row[first], column[first]
+
+
+def _block(target: Target, row: Indices, column: Indices) -> Indices:
+    return (row // BLOCK) * target.side + column // BLOCK
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMisfit:
+    """The distance along z from the foremost point of each block to the surface at its cell.
+
+    A distance e, in widths of a cell, counts as g^2 / (1 + g^2) with g = e / ``robust``, and a
+    block without a point counts as 1. So the misfit is about the share of the surface that the
+    cloud misses.
+    """
+
+    points: Array  # [N, 3]
+    surfaces: Sequence[Surface]
+    robust: float
+
+    def __call__(self, placements: Placements) -> System:
+        """The mean over the blocks of all views."""
+        system = System.empty(len(placements))
+        for surface in self.surfaces:
+            projected = surface.target.project(self.points, placements)
+            placement, point, row, column = surface.foremost(projected)
+            at_cell, slope = surface.depth[row, column], surface.slope[row, column]
+            from_cell = projected.px[placement, point] - np.stack([column, row], -1)
+            there = at_cell + (slope * from_cell).sum(-1)
+            per_unit = surface.target.camera.K[0, 0] / (self.robust * at_cell)
+            gap = (there - projected.depth[placement, point]) * per_unit
+            # The depth of the surface at a point changes as the point moves across it.
+            J = projected.depth_jacobian(placement, point) - projected.jacobian(
+                placement, point, slope
+            )
+            J *= per_unit[:, None]
+            system = system + share_missed(placement, gap, J, len(placements), surface.blocks)
+        return 1.0 / sum(surface.blocks for surface in self.surfaces) * system

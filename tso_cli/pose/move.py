@@ -15,7 +15,7 @@ import numpy as np
 from ..geometry.arrays import Array
 from ..geometry.rotations import to_vectors
 from ..geometry.view import View
-from .asked import Keep, Moved
+from . import Keep, Moved
 
 if TYPE_CHECKING:
     from .causes import Cause
@@ -88,13 +88,13 @@ class Move:
         """Nothing moves in the end; the place that was found is the first alternative."""
         if self.kind == "nothing":
             return self
-        found = () if self.kind == "camera" else ((self.missed, self.matrix),)
+        place = () if self.kind == "camera" else ((self.missed, self.matrix),)
         return replace(
             self,
             kind="nothing",
             matrix=np.eye(4),
             explains=False,
-            alternatives=(*found, *self.alternatives),
+            alternatives=(*place, *self.alternatives),
             why_unmoved=why,
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from ..geometry.rotations import from_vectors, to_vectors
 TURN, SHIFT, STRETCH, PRINCIPAL = slice(0, 3), slice(3, 6), slice(8, 13), slice(14, 16)
 SIZE, FOCAL, ASPECT, GROWTH = 6, 7, 13, 16
 UNKNOWNS = 17
+# The unknowns that are logarithms of lengths.
+SCALES = [SIZE, FOCAL, *range(STRETCH.start, STRETCH.stop), ASPECT]
 STRAINS = (
     np.array(
         [
@@ -33,10 +36,30 @@ STRAINS = (
 """[5, 3, 3], symmetric, without a trace and orthonormal: how a cloud stretches for each unknown."""
 
 Rows = NDArray[np.generic] | slice
+Same = TypeVar("Same", bound="OfPlacements")
 
 
 @dataclass(frozen=True, eq=False)
-class Placements:
+class OfPlacements:
+    """Arrays with a row for each of P placements."""
+
+    def arrays(self) -> dict[str, Array]:
+        """By name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def __getitem__(self: Same, rows: Rows) -> Same:
+        return replace(self, **{name: array[rows] for name, array in self.arrays().items()})
+
+    def replaced(self: Same, rows: Rows, other: Same) -> Same:
+        """The same with other ``rows``."""
+        copies = {name: array.copy() for name, array in self.arrays().items()}
+        for name, array in other.arrays().items():
+            copies[name][rows] = array
+        return replace(self, **copies)
+
+
+@dataclass(frozen=True, eq=False)
+class Placements(OfPlacements):
     """P placements of one cloud of longest side 1 with its centre at the origin.
 
     A point X goes to ``size`` exp(``strain``) R X + t, in the world of the cameras.
@@ -54,9 +77,6 @@ class Placements:
     def __len__(self) -> int:
         return len(self.R)
 
-    def __getitem__(self, rows: Rows) -> Placements:
-        return Placements(*(array[rows] for array in self._arrays()))
-
     @classmethod
     def at(cls, R: Array, t: Array, size: Array) -> Placements:
         """Of rotations [P, 3, 3], displacements [P, 3] and sizes [P] alone."""
@@ -68,14 +88,11 @@ class Placements:
         """The cloud where it is, ``count`` times."""
         return cls.at(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), np.ones(count))
 
-    def _arrays(self) -> list[Array]:
-        return [getattr(self, field.name) for field in fields(self)]
-
     @classmethod
     def joined(cls, parts: Sequence[Placements]) -> Placements:
         """The placements of several batches in one."""
-        names = (field.name for field in fields(cls))
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+        columns = zip(*(part.arrays().values() for part in parts), strict=True)
+        return cls(*map(np.concatenate, columns))
 
     def of(self, points: Array) -> tuple[Array, Array]:
         """``points`` [N, 3] as each placement turns, stretches and scales them, and places them.
@@ -84,7 +101,9 @@ class Placements:
         """
         linear = self.size[:, None, None] * self.R
         if self.strain.any():
-            linear = _exponential(self.strain) @ linear
+            # The exponential of symmetric matrices.
+            values, vectors = np.linalg.eigh(self.strain)
+            linear = (vectors * np.exp(values)[:, None]) @ vectors.transpose(0, 2, 1) @ linear
         turned = points @ linear.transpose(0, 2, 1)
         return turned, turned + self.t[:, None]
 
@@ -118,18 +137,3 @@ class Placements:
         change[:, PRINCIPAL] = self.centre - given.centre
         change[:, GROWTH] = self.growth - given.growth
         return change
-
-    def replaced(self, rows: Rows, other: Placements) -> Placements:
-        """The same with other ``rows``."""
-        replaced = []
-        for array, others in zip(self._arrays(), other._arrays(), strict=True):
-            array = array.copy()
-            array[rows] = others
-            replaced.append(array)
-        return Placements(*replaced)
-
-
-def _exponential(symmetric: Array) -> Array:
-    """The exponential of symmetric matrices [P, 3, 3]."""
-    values, vectors = np.linalg.eigh(symmetric)
-    return (vectors * np.exp(values)[:, None]) @ vectors.transpose(0, 2, 1)

@@ -5,27 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from ..geometry.arrays import Array
 from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
-from .asked import Keep, Moved
-from .everywhere import same_by_symmetry, search_everywhere, spacing, spread_points
+from . import Keep, Moved
+from .everywhere import (
+    closed_iou,
+    search_everywhere,
+    size_of_object,
+    spacing,
+    spread_indices,
+    unlike_first,
+)
 from .levenberg import Freedom
 from .move import MOST_DEGREES, Body, Move, unmoved
 from .placement import GROWTH, SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements
-from .search import (
-    EXPLAINED,
-    SURE_GAP,
-    Comparison,
-    Found,
-    place_from,
-    some_views,
-)
-from .starts import closed_iou, size_of_object
+from .search import EXPLAINED, SURE_GAP, Comparison, SearchResult, place_from, some_views
 from .target import Part
 
 # The default does not move a cloud by more of the standard deviations below.
@@ -45,14 +43,14 @@ LEAST_OVERLAP = 0.1
 OTHER_UNITS = 5.0
 
 
-def missed_by(body: Body, views: Sequence[View], *others: Array) -> list[float]:
+def missed_by(body: Body, views: Sequence[View], *clouds: Array) -> list[float]:
     """The share of the contours that a cloud misses where it is.
 
-    And with ``others`` [N, 3] in place of its points.
+    And with each of the ``clouds`` [N, 3] in place of its points.
     """
-    comparison = Placing(body, tuple(views)).comparison
-    clouds = comparison, *(comparison.of_cloud(body.normalise(points)) for points in others)
-    return [float(cloud.missed(Placements.unmoved())[0]) for cloud in clouds]
+    comparison = Placing(body, views).comparison
+    comparisons = comparison, *(comparison.of_cloud(body.normalise(cloud)) for cloud in clouds)
+    return [comparison.missed_unmoved for comparison in comparisons]
 
 
 def missed_in_parts(
@@ -62,25 +60,16 @@ def missed_in_parts(
 
     And the share of the contours in the squares of the parts that the parts hold.
     """
-    problem, some = Placing(body, tuple(views)), some_views(parts, MOST_VIEWS)
-    whole = [part and (part[0], np.ones_like(part[1])) for part in some]
-    counted, all_of_it = (
-        Comparison.of(problem.points, problem.normalised, chosen) for chosen in (some, whole)
+    problem, parts = Placing(body, views), some_views(parts, MOST_VIEWS)
+    squares = [part and (part[0], np.ones_like(part[1])) for part in parts]
+    of_parts, of_squares = (
+        Comparison.of(problem.points, problem.normalised, places) for places in (parts, squares)
     )
-    pieces = [sum(contour.pieces for contour in one.contours) for one in (counted, all_of_it)]
-    return float(counted.missed(Placements.unmoved())[0]), pieces[0] / pieces[1]
-
-
-def find_asked_move(
-    body: Body, views: Sequence[View], asked: Literal["pose", "similarity", "camera"], keep: Keep
-) -> Move:
-    """The move of the kind that was ``asked`` for.
-
-    "camera" : each camera by itself. Else the cloud stands where the masks would have it, near
-    where it was given, or anywhere if it does not fit there.
-    """
-    problem = Placing(body, tuple(views))
-    return problem.of_cameras() if asked == "camera" else problem.asked(asked, keep)
+    pieces, all_pieces = (
+        sum(contour.pieces for contour in comparison.contours)
+        for comparison in (of_parts, of_squares)
+    )
+    return of_parts.missed_unmoved, pieces / all_pieces
 
 
 def _why_unsure(best: Move, others: Sequence[Move]) -> str:
@@ -105,29 +94,29 @@ def _why_unsure(best: Move, others: Sequence[Move]) -> str:
 class Placing:
     """A cloud and some of its views in the units of the cloud."""
 
-    def __init__(self, body: Body, views: tuple[View, ...], unit: float | None = None) -> None:
+    def __init__(self, body: Body, views: Sequence[View], unit: float | None = None) -> None:
         """``unit`` : length in the world of the cameras that stands for 1; the cloud's longest side
         by default.
         """
         self.body, self.views = body, views
         self.unit = body.scale if unit is None else unit
         self.points = body.normalise(body.points)
-        to_file = np.eye(3), body.centre, self.unit
-        some = some_views(views, MOST_VIEWS)
-        self.normalised = tuple(view.before_placed(*to_file) for view in some)
+        self.normalised = tuple(
+            view.before_placed(np.eye(3), body.centre, self.unit)
+            for view in some_views(views, MOST_VIEWS)
+        )
 
     @cached_property
     def comparison(self) -> Comparison:
         return Comparison.of(self.points, self.normalised)
 
     @cached_property
-    def spread(self) -> tuple[Array, float]:
-        """Points of the cloud that are spread evenly, and the distance between them."""
-        points = spread_points(self.points)
-        return points, spacing(points)
+    def spread(self) -> Array:
+        """Points of the cloud that are spread evenly."""
+        return self.points[spread_indices(self.points)]
 
     @cached_property
-    def both_found(self) -> bool:
+    def tells_size(self) -> bool:
         """Whether the views can separate the size of a cloud from its distance."""
         return len(self.views) > 1 or bool(self.comparison.surfaces)
 
@@ -135,30 +124,21 @@ class Placing:
         """What may change, and what stays of size and distance, where only one of them can."""
         unit = np.eye(UNKNOWNS)
         shift, turn, size = unit[:, SHIFT], unit[:, TURN], unit[:, [SIZE]]
-        kept: Keep | None = None
+        fixed: Keep | None = None if self.tells_size else keep
+        if fixed == "auto":
+            fixed = "distance" if kind in ("similarity", "shift") else "size"
+        if fixed == "distance":
+            shift = shift @ self.normalised[0].camera.R[:2].T
         columns = [shift] if kind == "shift" else [turn, shift]
+        if kind == "similarity" and fixed != "size":
+            columns.append(size)
         given = Placements.unmoved()
-        if self.both_found:
-            columns += [size] if kind == "similarity" else []
-        else:
-            kept = keep
-            if keep == "auto":
-                kept = "distance" if kind in ("similarity", "shift") else "size"
-            if kept == "distance":
-                columns[-1] = shift @ self.normalised[0].camera.R[:2].T
-                columns += [size] if kind == "similarity" else []
         freedom = Freedom(np.concatenate(columns, 1), given, GIVEN_ERROR)
         of_depth = self.comparison.at_depth(given, freedom)
         # A cloud in other units than the depth map.
         if abs(np.log(of_depth.size[0])) > MOST_DEVIATIONS * GIVEN_ERROR[SIZE]:
             freedom = replace(freedom, given=of_depth)
-        return freedom, kept
-
-    def moved(
-        self, kind: Moved, placement: Placements, given: float, missed: float, keep: Keep
-    ) -> Move:
-        """The move to a ``placement`` that was found elsewhere."""
-        return self.move(kind, Found(placement, given, missed), self.freedom(kind, keep)[1])
+        return freedom, fixed
 
     @property
     def outline_error(self) -> float:
@@ -170,99 +150,101 @@ class Placing:
         """The cloud may stretch along any axes, and shift; the masks may be inexact."""
         deviation = GIVEN_ERROR.copy()
         deviation[GROWTH] = self.outline_error
-        free = STRETCH, SIZE, SHIFT, GROWTH
-        return Freedom.of(Placements.unmoved(), *free, deviation=deviation)
+        return Freedom.of(Placements.unmoved(), STRETCH, SIZE, SHIFT, GROWTH, deviation=deviation)
 
-    def asked(self, kind: Moved, keep: Keep) -> Move:
+    def placed(self, kind: Moved, keep: Keep) -> Move:
         """Near where the cloud was given, or anywhere if it does not fit there."""
         if kind == "similarity" and len(self.views) > 1:
             times = size_of_object(self.comparison.targets)
             if abs(np.log(times)) > np.log(OTHER_UNITS):
-                in_units = Placing(self.body, self.views, self.unit * times)
-                return in_units.anywhere(*in_units.freedom(kind, keep), kind)
-        freedom, kept = self.freedom(kind, keep)
+                return Placing(self.body, self.views, self.unit * times).anywhere(kind, keep)
         if not self.in_front:
-            return self.anywhere(freedom, kept, kind)
+            return self.anywhere(kind, keep)
+        freedom, fixed = self.freedom(kind, keep)
         near = place_from(self.comparison, freedom)
         if near.placement is freedom.given and freedom.given.size[0] == 1.0:
-            return unmoved(self.views, "no other place fits much better", near.given)
-        move = self.move(kind, near, kept)
+            return unmoved(self.views, "no other place fits much better", near.missed_before)
+        move = self.move(kind, near, fixed)
         if near.fits:
             return move
-        elsewhere = self.anywhere(freedom, kept, kind)
-        better = elsewhere.explains and elsewhere.missed < move.missed
-        return elsewhere if better or not self.meets_masks else move
+        elsewhere = self.anywhere(kind, keep)
+        if elsewhere.explains and elsewhere.missed < move.missed:
+            return elsewhere
+        # Whether the cloud says something about its place where it was given.
+        points, targets = self.spread, self.comparison.targets
+        overlap = closed_iou(points, Placements.unmoved(), targets, spacing(points))
+        return move if overlap[0] >= LEAST_OVERLAP else elsewhere
 
     @cached_property
     def in_front(self) -> bool:
         """Whether the whole cloud was given in front of the cameras."""
-        given, targets = Placements.unmoved(), self.comparison.targets
-        depths = [target.project(self.points, given).depth for target in targets]
-        pairs = zip(targets, depths, strict=True)
-        return all(one.camera.model != "perspective" or depth.min() > 0.0 for one, depth in pairs)
-
-    @property
-    def meets_masks(self) -> bool:
-        """Whether the cloud says something about its place where it was given."""
-        points, gap = self.spread
-        overlap = closed_iou(points, Placements.unmoved(), self.comparison.targets, gap)
-        return bool(overlap[0] >= LEAST_OVERLAP)
-
-    def anywhere(self, freedom: Freedom, kept: Keep | None, kind: Moved) -> Move:
-        """The best of all directions, and the others that are no symmetry of the cloud."""
-        if kind == "pose" and kept == "distance":
-            # Neither size nor distance could change: in another direction it would not fit.
-            freedom, kept = self.freedom(kind, "size")
-        given = float(self.comparison.missed(freedom.given)[0])
-        free = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
-        found = search_everywhere(self.comparison, self.points, self.normalised, free)
-        placements = found.placements
-        if kept is not None and kind == "similarity":
-            placements, kept = self.as_kept(placements, kept)
-        points, gap = self.spread
-        best, *others = (
-            self.move(kind, Found(placements[i : i + 1], given, missed), kept)
-            for i, missed in enumerate(found.missed.tolist())
-            if not i or not same_by_symmetry(points, placements.R[0], placements.R[i], gap)
+        given = Placements.unmoved()
+        return all(
+            target.camera.model != "perspective"
+            or target.project(self.points, given).depth.min() > 0.0
+            for target in self.comparison.targets
         )
-        alternatives = tuple((one.missed, one.matrix) for one in others)
+
+    def anywhere(self, kind: Moved, keep: Keep) -> Move:
+        """The best of all directions, and the others that are no symmetry of the cloud."""
+        freedom, fixed = self.freedom(kind, keep)
+        if kind == "pose" and fixed == "distance":
+            # Neither size nor distance could change: in another direction it would not fit.
+            freedom, fixed = self.freedom(kind, "size")
+        before = float(self.comparison.missed(freedom.given)[0])
+        free = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
+        candidates = search_everywhere(self.comparison, self.spread, self.normalised, free)
+        placements = candidates.placements
+        if fixed is not None and kind == "similarity":
+            placements, fixed = self._with_fixed(placements, fixed)
+        results = [
+            SearchResult(placements[i : i + 1], before, float(candidates.missed[i]))
+            for i in (0, *unlike_first(self.spread, placements.R))
+        ]
+        best, *others = (self.move(kind, result, fixed) for result in results)
+        alternatives = tuple((other.missed, other.matrix) for other in others)
         return replace(best, alternatives=alternatives, why_unsure=_why_unsure(best, others))
 
-    def as_kept(self, placements: Placements, kept: Keep) -> tuple[Placements, Keep]:
+    def _with_fixed(self, placements: Placements, fixed: Keep) -> tuple[Placements, Keep]:
         """The placements, scaled about the one camera so that the distance or the size stays.
 
         The size stays also if a part of the cloud was given behind the camera.
         """
         camera = self.normalised[0].camera
         if camera.model == "orthographic":
-            return placements, kept
-        if kept == "distance" and self.in_front:
+            return placements, fixed
+        if fixed == "distance" and self.in_front:
             factor = camera.t[2] / (placements.t @ camera.R[2] + camera.t[2])
         else:
-            kept, factor = "size", 1.0 / placements.size
-        return placements.scaled_about(camera.position, factor), kept
+            fixed, factor = "size", 1.0 / placements.size
+        return placements.scaled_about(camera.position, factor), fixed
 
     def of_cameras(self) -> Move:
-        views, found = [], []
+        """Each camera moves by itself."""
+        moves = []
         for view in self.views:
             alone = Placing(self.body, (view,))
-            freedom, _ = alone.freedom("pose", "size")
-            one = place_from(alone.comparison, freedom)
-            found.append(one)
-            views.append(alone.move("camera", one, "size").views[0])
-        before, missed = (
-            float(np.mean([getattr(one, name) for one in found])) for name in ("given", "missed")
+            result = place_from(alone.comparison, alone.freedom("pose", "size")[0])
+            moves.append(alone.move("camera", result, "size"))
+        return Move(
+            "camera",
+            tuple(move.views[0] for move in moves),
+            np.eye(4),
+            missed_before=float(np.mean([move.missed_before for move in moves])),
+            missed=float(np.mean([move.missed for move in moves])),
+            explains=all(move.explains for move in moves),
         )
-        explains = all(one.explains for one in found)
-        return Move("camera", tuple(views), np.eye(4), before, missed, explains)
 
-    def move(self, kind: Moved, found: Found, kept: Keep | None) -> Move:
-        one, centre = found.placement, self.body.centre
+    def move(self, kind: Moved, result: SearchResult, fixed: Keep | None) -> Move:
+        """The move of that kind to the one placement of a search."""
+        placement, centre = result.placement, self.body.centre
         # The product of many small rotations is a rotation only up to rounding.
-        R, size = nearest_rotation(one.R[0]), float(one.size[0]) * self.unit / self.body.scale
-        t = centre + self.unit * one.t[0] - size * R @ centre
+        R = nearest_rotation(placement.R[0])
+        size = float(placement.size[0]) * self.unit / self.body.scale
+        t = centre + self.unit * placement.t[0] - size * R @ centre
         matrix = np.eye(4)
         if kind != "camera":
             matrix[:3, :3], matrix[:3, 3] = size * R, t
         views = tuple(view.before_placed(R, t, size) for view in self.views)
-        return Move(kind, views, matrix, found.given, found.missed, found.explains, kept)
+        missed_before, missed = result.missed_before, result.missed
+        return Move(kind, views, matrix, missed_before, missed, result.explains, fixed)

@@ -13,9 +13,8 @@ from ..geometry.arrays import Array
 from ..geometry.points import scattered
 from ..geometry.rotations import lattice
 from ..geometry.view import View
-from .depth import DepthMisfit, Surface
 from .levenberg import Freedom, Misfit, improve
-from .misfit import Contour, ContourMisfit, NearestMisfit
+from .misfit import Contour, ContourMisfit, DepthMisfit, NearestMisfit, Surface
 from .placement import SIZE, TURN, UNKNOWNS, Placements
 from .target import Part, Target
 
@@ -50,14 +49,9 @@ SURE_GAP = 0.1
 # A gain of the posterior (minus twice its logarithm) that chance does not make. On validation
 # shapes 95 % of exact clouds in their right place gain less, and of those turned by 3 degrees more.
 SIGNIFICANT = 7.0
-
-
-class Nearby:
-    """Starts around a given pose: rotations by this angle about axes in all directions."""
-
-    TURNS, DEGREES = 6, 12.0
-    KEPT = 5  # those that fit best from afar
-
+# Starts around a given pose: rotations by this angle about axes in all directions. Those that fit
+# best from afar are followed.
+NEAR_TURNS, NEAR_DEGREES, NEAR_STARTS = 6, 12.0, 5
 
 Item = TypeVar("Item")
 
@@ -91,8 +85,8 @@ class Comparison:
         cls, points: Array, views: Sequence[View], parts: Sequence[Part | None] = ()
     ) -> Comparison:
         """``parts`` : what of each view counts; all of it by default."""
-        of_views = zip(views, parts or [None] * len(views), strict=True)
-        targets = tuple(Target.of(view, SIDE, part) for view, part in of_views)
+        pairs = zip(views, parts or [None] * len(views), strict=True)
+        targets = tuple(Target.of(view, SIDE, part) for view, part in pairs)
         surfaces = [Surface.of(target) for target in targets if target.depth is not None]
         smooth = tuple(surface for surface in surfaces if surface.blocks)
         return cls(_mixed(points), targets, tuple(map(Contour.of, targets)), smooth)
@@ -113,18 +107,17 @@ class Comparison:
     def exact(self, scale: float) -> Misfit:
         """Of the edge of the cloud and the contours, and of its visible side and depth maps."""
         contour = self.contour(scale)
-        depth = self.depth(max(scale, LEAST_OF_DEPTH))
-        if depth is None:
+        if not self.surfaces:
             return contour
+        depth = DepthMisfit(self.points, self.surfaces, max(scale, LEAST_OF_DEPTH))
         return lambda placements: contour(placements) + depth(placements)
 
-    def depth(self, scale: float = LEAST_OF_DEPTH) -> DepthMisfit | None:
-        """Of the visible side of the cloud and the depth maps; None without any."""
-        return DepthMisfit(self.points, self.surfaces, scale) if self.surfaces else None
-
-    def settled(self, placements: Placements, freedom: Freedom) -> tuple[Placements, Array]:
+    def settled(
+        self, placements: Placements, freedom: Freedom, from_afar: bool = False
+    ) -> tuple[Placements, Array]:
         """The placements as the contours and depth maps draw them, and their posteriors [P]."""
-        for scale in (max(NEARER, self.outline), self.outline):
+        scales = max(NEARER, self.outline), self.outline
+        for scale in (FROM_AFAR, *scales) if from_afar else scales:
             placements, value = improve(placements, self.exact(scale), freedom, STEPS)
         return placements, value
 
@@ -147,6 +140,11 @@ class Comparison:
         """[P] the share of the contours that a cloud of infinitely many points would miss."""
         return self.contour(self.outline).missed(placements)
 
+    @cached_property
+    def missed_unmoved(self) -> float:
+        """The share that the cloud misses where it is."""
+        return float(self.missed(Placements.unmoved())[0])
+
 
 def _mixed(points: Array) -> Array:
     """Some of the ``points`` [N, 3], in random order."""
@@ -155,14 +153,15 @@ def _mixed(points: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """What a search came to: one placement.
+class SearchResult:
+    """One placement.
 
-    given, missed : the share of the contours that the cloud misses where it was given, and here.
+    missed_before, missed : the share of the contours that the cloud misses where it was given, and
+        here.
     """
 
     placement: Placements
-    given: float
+    missed_before: float
     missed: float
 
     @property
@@ -173,36 +172,36 @@ class Found:
     @property
     def explains(self) -> bool:
         """Whether the placement explains why the cloud did not fit."""
-        return self.missed < min(EXPLAINED, LEFT * self.given)
+        return self.missed < min(EXPLAINED, LEFT * self.missed_before)
 
 
-def search_from(comparison: Comparison, freedom: Freedom, start: Placements | None = None) -> Found:
+def search_from(
+    comparison: Comparison,
+    freedom: Freedom,
+    start: Placements | None = None,
+    by_cells: Placements | None = None,
+) -> SearchResult:
     """The placement near ``start`` of the best posterior.
 
-    ``start`` is the given one by default, which the prior and `Found.given` are of in any case.
+    ``start`` is the given one by default, which the prior and ``missed_before`` are of in any case.
+    ``by_cells`` : the start as the cells draw it.
     """
     start = freedom.given if start is None else start
-    return _best_near(comparison, freedom, start, comparison.by_cells(start, freedom))
-
-
-def _best_near(
-    comparison: Comparison, freedom: Freedom, start: Placements, by_cells: Placements
-) -> Found:
-    """As `search_from`; ``by_cells`` : the start as the cells draw it."""
-    step = np.zeros((1 + Nearby.TURNS, UNKNOWNS))
-    step[1:, TURN] = np.radians(Nearby.DEGREES) * lattice(Nearby.TURNS)
+    by_cells = comparison.by_cells(start, freedom) if by_cells is None else by_cells
+    step = np.zeros((1 + NEAR_TURNS, UNKNOWNS))
+    step[1:, TURN] = np.radians(NEAR_DEGREES) * lattice(NEAR_TURNS)
     turned = start[np.zeros(len(step), np.int64)].stepped(step)
     from_afar, values = improve(turned, comparison.exact(FROM_AFAR), freedom, STEPS)
-    starts = [start, from_afar[np.argsort(values)[: Nearby.KEPT]], by_cells]
+    starts = [start, from_afar[np.argsort(values)[:NEAR_STARTS]], by_cells]
     if comparison.surfaces:
         starts.append(comparison.at_depth(by_cells, freedom))
     placements, values = comparison.settled(Placements.joined(starts), freedom)
     best = placements[np.array([values.argmin()])]
-    given, missed = comparison.missed(Placements.joined([freedom.given, best]))
-    return Found(best, float(given), float(missed))
+    before, after = comparison.missed(Placements.joined([freedom.given, best]))
+    return SearchResult(best, float(before), float(after))
 
 
-def place_from(comparison: Comparison, freedom: Freedom) -> Found:
+def place_from(comparison: Comparison, freedom: Freedom) -> SearchResult:
     """The placement near the given one where a cloud of any shape belongs.
 
     A cloud that fits where it was given stays there, unless the posterior gains enough. Contours
@@ -210,12 +209,12 @@ def place_from(comparison: Comparison, freedom: Freedom) -> Found:
     does not fit in the end stands where all cells of the masks would have it.
     """
     by_cells = comparison.by_cells(freedom.given, freedom)
-    found = _best_near(comparison, freedom, freedom.given, by_cells)
-    if found.given < TELLS_PLACE:
+    result = search_from(comparison, freedom, by_cells=by_cells)
+    before = result.missed_before
+    if before < TELLS_PLACE:
         posterior = freedom.posterior(comparison.exact(comparison.outline))
-        gain = posterior(freedom.given).value - posterior(found.placement).value
-        if gain < SIGNIFICANT:
-            return Found(freedom.given, found.given, found.given)
-    if found.fits:
-        return found
-    return replace(found, placement=by_cells, missed=float(comparison.missed(by_cells)[0]))
+        if posterior(freedom.given).value - posterior(result.placement).value < SIGNIFICANT:
+            return SearchResult(freedom.given, before, before)
+    if result.fits:
+        return result
+    return SearchResult(by_cells, before, float(comparison.missed(by_cells)[0]))

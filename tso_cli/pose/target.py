@@ -49,10 +49,8 @@ class Projected:
     depth: Array  # [P, N] along the camera's z axis
     inverse: Array  # [P, N] 1 / depth; 1 for an orthographic camera
     turned: Array  # [P, N, 3] the placed cloud about its centre
-    camera: Camera
-    focal: Array  # [P]
-    aspect: Array  # [P]
-    picture: float  # longer side of the picture, cells
+    target: Target
+    placements: Placements
 
     def jacobian(self, rows: Indices, points: Indices, normals: Array | None = None) -> Array:
         """Derivative of pixels of some points by the unknowns.
@@ -60,31 +58,29 @@ class Projected:
         ``rows`` and ``points``, of one shape [...], name placement and point. The result is
         [..., 2, 17], or [..., 17] of the movement along ``normals`` [..., 2].
         """
-        inverse = self.inverse[rows, points]
+        inverse, camera = self.inverse[rows, points], self.target.camera
         offset, arm = self.offset[rows, points], self.turned[rows, points]
+        focal, aspect = self.placements.focal[rows], self.placements.aspect[rows]
         by_camera = np.zeros((*inverse.shape, 2, 3))
-        by_camera[..., :2] = self.camera.K[:2, :2] * (self.focal[rows] * inverse)[..., None, None]
-        by_camera[..., 1, :2] *= self.aspect[rows][..., None]
-        if self.camera.model == "perspective":
+        by_camera[..., :2] = camera.K[:2, :2] * (focal * inverse)[..., None, None]
+        by_camera[..., 1, :2] *= aspect[..., None]
+        if camera.model == "perspective":
             # A point at the nearest depth is projected from there, however near it is.
             beyond = self.depth[rows, points] * inverse > 1.0 - 1e-12
             by_camera[..., 2] = -offset * (inverse * beyond)[..., None]
-        along, vertical, picture = offset, offset * (0.0, 1.0), self.picture * np.eye(2)
+        along, vertical, picture = offset, offset * (0.0, 1.0), self.target.picture * np.eye(2)
         if normals is not None:
             by_camera = (normals[..., None, :] @ by_camera)[..., 0, :]
             along, vertical = (normals * offset).sum(-1), (normals * vertical).sum(-1)
-            picture = self.picture * normals
-        by_point = by_camera @ self.camera.R
-        if normals is None:
-            arm = arm[..., None, :]
-        J = _by_unknowns(by_point, arm)
+            picture = self.target.picture * normals
+        J = _by_unknowns(by_camera @ camera.R, arm[..., None, :] if normals is None else arm)
         J[..., FOCAL], J[..., ASPECT], J[..., PRINCIPAL] = along, vertical, picture
         return J
 
     def depth_jacobian(self, rows: Indices, points: Indices) -> Array:
         """Derivative [..., 17] of depths of some points by the unknowns, as `jacobian`."""
         arm = self.turned[rows, points]
-        return _by_unknowns(np.broadcast_to(self.camera.R[2], arm.shape), arm)
+        return _by_unknowns(np.broadcast_to(self.target.camera.R[2], arm.shape), arm)
 
 
 def _by_unknowns(by_point: Array, arm: Array) -> Array:
@@ -120,12 +116,16 @@ class Target:
         """``view`` around its object, or the ``part`` of it that counts."""
         box, weights = (square_around(view), view.known) if part is None else part
         mask, known = area_resize(view.mask, box, side, side, weights=weights)
-        camera = view.camera.cropped(box, side, side)
         pixel = side / (box[2] - box[0])
-        picture = pixel * max(view.mask.shape)
-        error = pixel * view.outline_error
-        of_mask = mask * (known > 0.0), known > 0.5, camera, view.truncated
-        target = cls(*of_mask, pixel, error, picture)
+        target = cls(
+            mask=mask * (known > 0.0),
+            known=known > 0.5,
+            camera=view.camera.cropped(box, side, side),
+            truncated=view.truncated,
+            pixel=pixel,
+            error=pixel * view.outline_error,
+            picture=pixel * max(view.mask.shape),
+        )
         if view.depth is None:
             return target
         depth = nearest_resize(view.depth, box, side)
@@ -165,22 +165,12 @@ class Target:
         if self.camera.model == "perspective":
             nearest = NEAREST * placements.size[:, None]
             inverse = 1.0 / np.maximum(in_camera[..., 2], nearest)
-        depth = in_camera[..., 2]
         plane = in_camera[..., :2] * inverse[..., None] * placements.focal[:, None, None]
         offset = plane @ self.camera.K[:2, :2].T
         offset[..., 1] *= placements.aspect[:, None]
         middle = self.camera.K[:2, 2] + self.picture * placements.centre
-        return Projected(
-            offset + middle[:, None],
-            offset,
-            depth,
-            inverse,
-            turned,
-            self.camera,
-            placements.focal,
-            placements.aspect,
-            self.picture,
-        )
+        px, depth = offset + middle[:, None], in_camera[..., 2]
+        return Projected(px, offset, depth, inverse, turned, self, placements)
 
     def at(self, px: Array) -> tuple[Indices, Indices, Bits]:
         """Row and column of the cells of ``px`` [..., 2], clipped, and which px are within."""

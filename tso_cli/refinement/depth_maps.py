@@ -7,9 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from ..cloud.cloud import ControlledCloud
-from ..diagnosis.depth_kinds import along_z, fitted, without_depth
-from ..diagnosis.depth_map import wrong_maps
-from ..diagnosis.depth_noise import without_noise
+from ..diagnosis.depth_map import along_z, fitted, without_depth, without_noise, wrong_maps
 from ..diagnosis.findings import Finding
 from ..geometry.arrays import Array
 from ..geometry.depth_kind import FITTED, DepthKind
@@ -18,7 +16,7 @@ from ..optimisation.config import Settings
 from ..optimisation.learned_start import beginning
 from ..optimisation.optimise import weigh
 from ..optimisation.problem import prepare
-from ..pose.asked import Asked
+from ..pose import Asked
 from ..pose.move import Move
 from ..prior import LearnedPrior, named_prior
 from .clock import Clock

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tso_cli.diagnosis.depth_map import Held
+from tso_cli.diagnosis.depth_map import Contents
 from tso_cli.diagnosis.findings import OF_DEPTH_MAPS
 from tso_cli.geometry.arrays import Array
 from tso_cli.geometry.camera import intrinsics
@@ -32,7 +32,7 @@ class Map(NamedTuple):
     """What a map ``holds``, and what that should be called; ``fov`` : of its camera, degrees."""
 
     holds: str
-    called: Held
+    called: Contents
     fov: int | None = None
 
 

@@ -15,7 +15,7 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import Array, bounding_box_normalisation
 from tso_cli.geometry.rotations import from_vectors
-from tso_cli.pose.asked import Asked
+from tso_cli.pose import Asked
 from tso_cli.refinement import RefineConfig, refine
 
 from .. import options
