@@ -24,7 +24,7 @@ from .sentences_of_moves import move_document, reading_of, words_of_move
 
 
 def check_scene(
-    scene: Scene, settings: Settings, words: Words, as_json: bool, quiet: bool, warned: list[str]
+    scene: Scene, settings: Settings, words: Words, warned: list[str], as_json: bool, quiet: bool
 ) -> str:
     """Print cameras, scale and overlap. Returns what looks wrong, or "".
 
@@ -42,19 +42,16 @@ def check_scene(
     if move and (reading := reading_of(move, settings.move, cloud.body.points)):
         warnings.warn(reading, stacklevel=1)
     suspicion = words.suspicion(diagnosis.suspicious)
-    if suspicion and not apart:
-        warnings.warn(suspicion, stacklevel=1)
+    if suspicion and apart:
+        warned.append(suspicion)  # the error says it too
     elif suspicion:
-        # The error says it too.
-        warned.append(suspicion)
-    unsure = [one.says for one in diagnosis.notes if one.name in UNSURE]
-    reason = suspicion or "".join(unsure)
+        warnings.warn(suspicion, stacklevel=1)
+    reason = suspicion or "".join(note.says for note in diagnosis.notes if note.name in UNSURE)
     if as_json:
-        suspects = [words.what_and_option(finding) for finding in diagnosis.suspicious]
-        verdict = "doubtful" if reason else None
-        trust = verdict_document(None, verdict, reason, warned, suspects)
-        moved = move_document(move) if move else {}
-        document = {**_document(scene, cloud, diagnosis), **moved, **trust}
+        document = _document(scene, cloud, diagnosis)
+        document |= move_document(move) if move else {}
+        verdict, suspects = "doubtful" if reason else None, words.suspects(diagnosis.suspicious)
+        document |= verdict_document(None, verdict, reason, warned, suspects)
         options.echo_json({**document, "version": __version__})
     elif not quiet:
         _print(scene, cloud, diagnosis)
@@ -90,13 +87,16 @@ def verdict_document(
 
 
 def _document(scene: Scene, cloud: ControlledCloud, diagnosis: Diagnosis) -> dict[str, Any]:
-    views = []
-    for view, source, placement in zip(
-        scene.views, scene.camera_sources, diagnosis.placements, strict=True
-    ):
-        camera = camera_document(view.camera, source)
-        placed = {"placement": vars(placement), "meets": placement.meets}
-        views.append({"mask": view.name, "camera": camera, **placed})
+    rows = zip(scene.views, scene.camera_sources, diagnosis.placements, strict=True)
+    views = [
+        {
+            "mask": view.name,
+            "camera": camera_document(view.camera, source),
+            "placement": vars(placement),
+            "meets": placement.meets,
+        }
+        for view, source, placement in rows
+    ]
     points = cloud.control_points
     return {
         "camera": views[0]["camera"],
@@ -145,7 +145,7 @@ def _print_view(camera: Camera, source: str, size: Array, placement: Placement) 
     )
     if placement.points_box is not None:
         click.echo(f"silhouette  {describe_box(placement.points_box)}")
-    verdict = (
-        "they meet" if placement.meets else f"they do not meet (expected over {LEAST_BOX_IOU})"
+    apart = f"they do not meet (expected over {LEAST_BOX_IOU})"
+    click.echo(
+        f"boxes       IoU {placement.box_iou:.3f}: {'they meet' if placement.meets else apart}"
     )
-    click.echo(f"boxes       IoU {placement.box_iou:.3f}: {verdict}")

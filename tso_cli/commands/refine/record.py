@@ -7,9 +7,8 @@ import json
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
@@ -18,6 +17,7 @@ from ...io.reading import digest_of, plain, shown
 from ...version import __version__
 from .. import options
 from ..option_files import read_options, set_defaults
+from .inputs import RefineInputs
 from .options import RefineOptions, is_word, without_roles
 
 SCHEMA = 1
@@ -27,8 +27,7 @@ _RECORD = "tso.record"
 """Key of a context's ``meta``: the `_Record` that --config names."""
 
 
-@dataclass(frozen=True)
-class _Record:
+class _Record(NamedTuple):
     path: Path
     version: str
     inputs: dict[str, str]  # absolute path -> digest
@@ -93,16 +92,11 @@ def _record(path: Path, document: dict[str, Any]) -> _Record:
         )
     for key, kind in (("options", dict), ("inputs", dict), ("version", str)):
         if not isinstance(document.get(key), kind):
-            found = f"{key} is {shown(document[key])}" if key in document else f"has no {key}"
-            raise InputError(f"{path}: {found}, expected a record of --record")
-    inputs = document["inputs"]
-    for name, digest in inputs.items():
-        if not isinstance(digest, str):
-            raise InputError(
-                f"{path}: the hash of {plain(name)} is {shown(digest)}, expected SHA-256 in hex"
-            )
-    placed = {os.path.abspath(path.parent / name): digest for name, digest in inputs.items()}
-    return _Record(path, document["version"], placed)
+            fault = f"{key} is {shown(document[key])}" if key in document else f"has no {key}"
+            raise InputError(f"{path}: {fault}, expected a record of --record")
+    inputs = document["inputs"].items()
+    digests = {os.path.abspath(path.parent / name): digest for name, digest in inputs}
+    return _Record(path, document["version"], digests)
 
 
 def warn_of_changes(ctx: click.Context, chosen: RefineOptions) -> None:
@@ -110,8 +104,8 @@ def warn_of_changes(ctx: click.Context, chosen: RefineOptions) -> None:
 
     Files that the command line names were not of that run.
     """
-    record = ctx.meta.get(_RECORD)
-    if not isinstance(record, _Record):
+    record: _Record | None = ctx.meta.get(_RECORD)
+    if record is None:
         return
     if record.version != __version__:
         warnings.warn(
@@ -128,12 +122,16 @@ def _changes(
     ctx: click.Context, chosen: RefineOptions, record: _Record
 ) -> Iterator[tuple[str, str]]:
     """Each file that differs from the record, by its absolute path, and in what."""
-    from .inputs import RefineInputs
-
-    inputs = RefineInputs(chosen)
-    typed = list(_typed(ctx))
-    read = {os.path.abspath(path): path for path in inputs.files if path not in typed}
-    digests = {place: digest_of(path) for place, path in read.items() if path.exists()}
+    typed = [
+        path
+        for name, value in without_roles(ctx.params, "output", "run").items()
+        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        for path in (value if isinstance(value, tuple) else (value,))
+        if isinstance(path, Path)
+    ]
+    files = [path for path in RefineInputs(chosen).files if path not in typed]
+    places = set(map(os.path.abspath, files))
+    digests = {os.path.abspath(path): digest_of(path) for path in files if path.exists()}
     for place, digest in digests.items():
         if record.inputs.get(place, digest) != digest:
             yield place, "has changed since"
@@ -141,13 +139,5 @@ def _changes(
         elif place not in record.inputs and digest not in record.inputs.values() and not typed:
             yield place, "is no input of"
     for place, digest in record.inputs.items():
-        if place not in read and digest not in digests.values() and not typed:
+        if place not in places and digest not in digests.values() and not typed:
             yield place, "is not read now, but is an input of"
-
-
-def _typed(ctx: click.Context) -> Iterator[Path]:
-    """The input files that are given on the command line."""
-    for name, value in without_roles(ctx.params, "output", "run").items():
-        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            values = value if isinstance(value, tuple) else (value,)
-            yield from (path for path in values if isinstance(path, Path))

@@ -6,20 +6,20 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping
-from functools import partial
+from dataclasses import replace
 from typing import Any
 
 from ...diagnosis.assumptions import left_handed
 from ...diagnosis.examine import NoOverlapError
 from ...errors import GateError, InputError
-from ...geometry.arrays import Array
+from ...geometry.arrays import Array, Pixels
 from ...io.reading import require_memory
 from ...refinement import RefineResult, refine
 from .. import options
 from .check import check_scene
 from .inputs import RefineInputs
 from .options import RefineOptions
-from .outputs import Finished, RefineOutputs
+from .outputs import WITH_PHOTOS, RefineOutputs
 from .report import RefineReport
 from .sentences import Words
 
@@ -49,7 +49,9 @@ class RefineRun:
         self._iterates = None if chosen.check else self._outputs.recorder()
         self._scene = self._inputs.load()
         if chosen.verbose or (chosen.check and not chosen.quiet):
-            self._log_sources()
+            if self._inputs.checkpoint is not None:
+                options.log(f"tso: checkpoint: {self._inputs.checkpoint}")
+            options.log(f"tso: camera: {', '.join(dict.fromkeys(self._scene.camera_sources))}")
         of_paper = chosen.sigma_sq is None and chosen.preset == "paper"
         self._config = chosen.config(**{"sigma_sq": self._scene.sigma_sq} if of_paper else {})
         self._settings = self._config.settings()
@@ -64,48 +66,70 @@ class RefineRun:
 
     def check(self) -> int:
         """Examine the input alone; the exit code."""
+        chosen = self._options
         reason = check_scene(
-            self._scene,
-            self._settings,
-            self._words,
-            self._options.as_json,
-            self._options.quiet,
-            self._warned,
+            self._scene, self._settings, self._words, self._warned, chosen.as_json, chosen.quiet
         )
-        if reason and self._options.strict:
-            raise GateError(f"{self._options.source}: the result would be doubtful: {reason}")
+        if reason and chosen.strict:
+            raise GateError(f"{chosen.source}: the result would be doubtful: {reason}")
         return 0
 
     def refine(self) -> int:
         """Refine, write the files and print the result; the exit code."""
-        report, refused = self.work()
-        self._print(report, refused)
-        if report.result.fit.stop_reason == "interrupted":
+        chosen, report = self._options, self.work()
+        result = report.result
+        if chosen.as_json:
+            options.echo_json(report.document())
+        if not report.files:
+            raise GateError(
+                f"{chosen.source}: the result is {result.trust.verdict or 'without confidence'}: "
+                f"{self._words.reason(result)}; with --strict nothing is written"
+            )
+        if not chosen.as_json and not chosen.quiet:
+            report.print_summary()
+            self._outputs.print_names()
+            if chosen.verbose:
+                report.print_details()
+        if result.fit.stop_reason == "interrupted":
             return INTERRUPTED
-        return LEFT if self._options.strict and not report.result.moved else 0
+        return LEFT if chosen.strict and not result.moved else 0
 
-    def work(self) -> tuple[RefineReport, bool]:
-        """Refine and write the files: the report, and whether --strict left them unwritten."""
+    def work(self) -> RefineReport:
+        """Refine and write the files; with --strict, a doubtful result has none."""
         self._require_writable_cameras()
-        read = time.perf_counter() - self._started
+        read = time.perf_counter()
         result = self._refined()
-        writing = time.perf_counter()
+        refined = time.perf_counter()
         refused = self._options.strict and result.trust.verdict in ("doubtful", None)
+        files = {} if refused else self._outputs.files
+        with_photos = not WITH_PHOTOS.isdisjoint(files)
+        sentences = self._words.warnings(result, refused)
+        seconds = {"read": read - self._started, **result.cost.seconds}
+        report = RefineReport(
+            result=result,
+            scene=self._scene,
+            inputs=self._inputs,
+            words=self._words,
+            given=self._given,
+            command=self._line,
+            files=files,
+            photos=self._photos() if with_photos else [],
+            iterates=self._iterates,
+            seconds={**seconds, "total": refined - self._started},
+            warnings=[*self._warned, *sentences],
+        )
         if not refused:
-            seconds = {"read": read, **result.cost.seconds}
-            report = partial(self._words_so_far, result, seconds)
-            run = Finished(result, self._scene, self._inputs, report, self._line, self._iterates)
-            self._outputs.write(run)
-        finished = time.perf_counter()
-        for text in self._words.warnings(result, refused):
-            warnings.warn(text, stacklevel=1)
-        times = {"write": finished - writing, "total": finished - self._started}
-        return self._report(result, {"read": read, **result.cost.seconds, **times}), refused
+            self._outputs.write(report)
+        written = time.perf_counter()
+        for sentence in sentences:
+            warnings.warn(sentence, stacklevel=1)
+        seconds |= {"write": written - refined, "total": written - self._started}
+        return replace(report, seconds=seconds, warnings=self._warned)
 
-    def _log_sources(self) -> None:
-        if self._inputs.checkpoint is not None:
-            options.log(f"tso: checkpoint: {self._inputs.checkpoint}")
-        options.log(f"tso: camera: {', '.join(dict.fromkeys(self._scene.camera_sources))}")
+    def _photos(self) -> list[Pixels | None]:
+        from ...scene.photos import photos_of
+
+        return photos_of(self._scene, self._inputs.view_files, self._options.fit)
 
     def _require_writable_cameras(self) -> None:
         """Refuse to write the cameras of a cloud with left-handed axes."""
@@ -124,10 +148,10 @@ class RefineRun:
         if points_mode and self._settings.points is None:
             require_memory(source, BYTES_OF_A_CONTROL_POINT * len(scene.points))
         bar, iterates = options.ProgressBar("tso: refining"), self._iterates
-        bar_shown = sys.stderr.isatty() and not self._options.quiet
+        has_bar = sys.stderr.isatty() and not self._options.quiet
 
         def on_progress(step: int, total: int, loss: float, points: Array) -> None:
-            if bar_shown:
+            if has_bar:
                 bar(step, total, f"steps, loss {loss:.6g}" if self._options.verbose else "steps")
             if iterates is not None:
                 iterates.add(step, loss, points)
@@ -142,35 +166,9 @@ class RefineRun:
                     network=scene.network,
                     image=scene.image,
                     known=given.known,
-                    progress=on_progress if bar_shown or iterates is not None else None,
+                    progress=on_progress if has_bar or iterates is not None else None,
                 )
         except NoOverlapError as error:
             raise self._words.no_overlap(error) from None
         finally:
             bar.close()
-
-    def _report(self, result: RefineResult, seconds: dict[str, float]) -> RefineReport:
-        of_run = self._scene, self._inputs, self._outputs, self._words
-        return RefineReport(result, *of_run, seconds, self._given)
-
-    def _words_so_far(
-        self, result: RefineResult, seconds: dict[str, float]
-    ) -> tuple[RefineReport, list[str]]:
-        """What a page or a record says: of the seconds, those until now; and the warnings."""
-        so_far = {**seconds, "total": time.perf_counter() - self._started}
-        return self._report(result, so_far), [*self._warned, *self._words.warnings(result)]
-
-    def _print(self, report: RefineReport, refused: bool) -> None:
-        result = report.result
-        if self._options.as_json:
-            options.echo_json(report.document(self._warned, written=not refused))
-        if refused:
-            verdict = result.trust.verdict or "without confidence"
-            raise GateError(
-                f"{self._options.source}: the result is {verdict}: {self._words.reason(result)}; "
-                "with --strict nothing is written"
-            )
-        if not self._options.as_json and not self._options.quiet:
-            report.print_summary()
-            if self._options.verbose:
-                report.print_details()
