@@ -338,7 +338,9 @@ class RefineReport:
                 f"  view   {view.iou_before:.3f} -> {view.iou_after:.3f}   inlier weight "
                 f"{view.inlier_weight:.2f}, {view.name}"
             )
-        for moved_view, _, degrees, shift in self.corrections if result.move.kind == "camera" else ():
+        for moved_view, _, degrees, shift in (
+            self.corrections if result.move.kind == "camera" else ()
+        ):
             how = f"turned {degrees:.2f} degrees, shifted {100.0 * shift:.2f} % of its distance"
             click.echo(f"  camera {how}   ({moved_view.name})")
         if result.settings.move != "shape":
