@@ -12,7 +12,7 @@ from tso_cli.commands.refine.sentences import (
     LOOK,
     OPTIONS_OF_NOTES,
     Words,
-    shown,
+    two_places,
     why_unmoved,
 )
 from tso_cli.diagnosis.assumptions import INVERTED, Assumption
@@ -348,7 +348,7 @@ def test_an_unsure_camera_is_said_once(moved):
     ("confidence", "text"), [(0.7999, "0.79"), (0.8, "0.80"), (0.999, "0.99"), (1.0, "1.00")]
 )
 def test_a_confidence_is_rounded_down_so_that_a_printed_limit_is_not_doubtful(confidence, text):
-    assert shown(confidence) == text
+    assert two_places(confidence) == text
 
 
 def test_every_reason_of_the_model_has_words(moved):

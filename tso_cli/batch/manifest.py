@@ -83,8 +83,8 @@ def read_manifest(manifest: Path | str) -> Iterator[Item]:
 
 def folder_of(manifest: Path | str) -> str:
     """What paths in a manifest are relative to; those of a folder's items are whole."""
-    whole = isinstance(manifest, Path) and manifest.is_dir()
-    return "" if whole else os.path.dirname(str(manifest))
+    is_folder = isinstance(manifest, Path) and manifest.is_dir()
+    return "" if is_folder else os.path.dirname(str(manifest))
 
 
 def _read(manifest: Path | str) -> tuple[bytes, str]:
@@ -191,7 +191,7 @@ def _of_folder(folder: Path) -> Iterator[Item]:
     places = [folder / part if (folder / part).is_dir() else folder for part in PARTS]
     clouds, masks, cameras = places
     # There, a folder NAME holds the masks.
-    of_cameras = [(ending,) for ending in (CAMERAS if cameras == folder else ("", *CAMERAS))]
+    camera_ranks = [(ending,) for ending in (CAMERAS if cameras == folder else ("", *CAMERAS))]
     items: dict[str, Path] = {}
     without = []
     for path in sorted(clouds.rglob("*")):
@@ -212,7 +212,7 @@ def _of_folder(folder: Path) -> Iterator[Item]:
             )
         items[name] = relative
         values = {CLOUD: str(path), MASK: str(mask)}
-        if camera := _named(cameras / name, of_cameras, path, Path.is_dir):
+        if camera := _named(cameras / name, camera_ranks, path, Path.is_dir):
             values["camera"] = str(camera)
         values[OUTPUT] = f"{name}{RESULT}{output_suffix(path)}"
         yield Item(f"{folder}: {relative}", values)
@@ -242,19 +242,19 @@ def _named(
     It is of the first of the ``ranks`` of endings that has one. Raises InputError if that has two.
     """
     for endings in ranks:
-        paths = [Path(f"{name}{ending}") for ending in endings]
-        found = [
+        candidates = {Path(f"{name}{ending}"): ending for ending in endings}
+        files = [
             path
-            for ending, path in zip(endings, paths, strict=True)
+            for path, ending in candidates.items()
             if path != cloud and (path.is_file() if ending else is_folder(path))
         ]
-        if len(found) > 1:
+        if len(files) > 1:
             raise InputError(
-                f"{cloud}: its mask may be {found[0]} or {found[1]}, expected one of the two; or "
+                f"{cloud}: its mask may be {files[0]} or {files[1]}, expected one of the two; or "
                 f"name it NAME{MASKS[0][1]}"
             )
-        if found:
-            return found[0]
+        if files:
+            return files[0]
     return None
 
 

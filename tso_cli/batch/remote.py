@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from os.path import normpath
-from pathlib import Path, PurePosixPath
+from os.path import normpath, relpath
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -22,45 +22,40 @@ def is_remote(word: object) -> bool:
     return isinstance(word, str) and MARK in word
 
 
-def _opened(address: str) -> tuple[Any, str]:
-    """The file system of an address, and the path there."""
+@contextmanager
+def _opened(address: str) -> Iterator[tuple[Any, str]]:
+    """The file system of an address, and the path there; InputError if there is no such file."""
     with needed_by(f"{address}: needs"):
         from fsspec.core import url_to_fs
     try:
         system, path = url_to_fs(address)
     except (ImportError, ValueError) as error:
         raise InputError(f"{address}: cannot be opened ({reason(error)})") from None
-    return system, str(path)
-
-
-@contextmanager
-def _existing(address: str) -> Iterator[tuple[Any, str]]:
-    """The file system of an address, and the path there; InputError if there is no such file."""
     try:
-        yield _opened(address)
+        yield system, str(path)
     except FileNotFoundError:
         raise InputError(f"{address}: does not exist, expected a file") from None
 
 
 def exists(address: str) -> bool:
-    system, path = _opened(address)
-    return bool(system.exists(path))
+    with _opened(address) as (system, path):
+        return bool(system.exists(path))
 
 
 def read_remote(address: str) -> bytes:
     """The bytes of a file; InputError if it cannot be read."""
-    with _existing(address) as (system, path):
-        try:
+    try:
+        with _opened(address) as (system, path):
             return bytes(system.cat_file(path))
-        except FileNotFoundError:
-            raise
-        except Exception as error:  # each store has errors of its own
-            raise InputError(f"{address}: cannot be read ({reason(error)})") from None
+    except TsoError:
+        raise
+    except Exception as error:  # each store has errors of its own
+        raise InputError(f"{address}: cannot be read ({reason(error)})") from None
 
 
 def state_of(address: str) -> str:
     """What changes if the file changes, as its file system knows it: size, time, checksum."""
-    with _existing(address) as (system, path):
+    with _opened(address) as (system, path):
         return f"{address} {system.ukey(path)}"
 
 
@@ -79,26 +74,34 @@ def cameras_of(masks: Sequence[str]) -> dict[str, str]:
 class Local:
     """The options of an item with local files in place of addresses.
 
-    folders : name of a local folder, which no other has -> the address that it stands for.
+    Files of one remote folder lie in one local folder, under their own names.
+
+    folders : local folder -> the address that it stands for.
     """
 
     options: dict[str, Any]
     folders: dict[str, str]
 
-    def named(self, text: str) -> str:
-        """``text`` with addresses for paths of local files, wherever they begin."""
-        local_folder = re.compile(r"[\w./-]*(tso-\w+-\d+)(?=/)")
-        return local_folder.sub(lambda path: self.folders.get(path[1], path[0]), text)
+    def named(self, text: str, folder: Path | None = None) -> str:
+        """``text`` of tso with addresses for local files, also for paths relative to ``folder``."""
+        for place, address in self.folders.items():
+            relative = place if folder is None else Path(relpath(place, folder)).as_posix()
+            # The relative path comes first: it may end with the other.
+            text = text.replace(f"{relative}/", f"{address}/").replace(f"{place}/", f"{address}/")
+        return text
 
     def name_in(self, file: Path) -> None:
-        """Let a record, or another text, name addresses for local files."""
-        text = before = file.read_text(encoding="utf-8")
-        if file.parent.name in self.folders:
+        """Let a record, or a page or camera file that tso wrote, name addresses."""
+        text, folder = file.read_text(encoding="utf-8"), file.parent
+        if folder.as_posix() in self.folders:
             # A record that goes to an address: no path is relative to it any more.
-            text = re.sub(r'(?<=")\.\./[^"]*', lambda path: normpath(file.parent / path[0]), text)
-        if (text := self.named(text)) != before:
+            whole = re.sub(r'(?<=")\.\./[^"]*', lambda path: normpath(folder / path[0]), text)
+            with_addresses = self.named(whole)
+        else:
+            with_addresses = self.named(text, folder)
+        if with_addresses != text:
             with atomic_output(file) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+                temporary.write_text(with_addresses, encoding="utf-8")
 
 
 @contextmanager
@@ -110,18 +113,25 @@ def local(options: Mapping[str, Any], output: str, cameras: Mapping[str, str]) -
     Raises InputError if a file cannot be fetched, and OSError if the result cannot be stored.
     Errors of tso in the block name addresses.
     """
-    with TemporaryDirectory(prefix="tso-") as folder:
+    addresses = [text for text in texts_of(options) if is_remote(text) and text != output]
+    addresses += cameras.values()
+    with TemporaryDirectory(prefix="tso-") as root:
         places: dict[str, str] = {}
-        folders: dict[str, str] = {}
-        for number, address in enumerate(dict.fromkeys(filter(is_remote, texts_of(options)))):
-            place = Path(folder, f"{Path(folder).name}-{number}", PurePosixPath(address).name)
-            place.parent.mkdir()
-            places[address] = str(place)
-            folders[place.parent.name] = address.rpartition("/")[0]
-            if address != output:
-                _fetch(address, place)
-            if camera := cameras.get(address):
-                _fetch(camera, place.with_name(PurePosixPath(camera).name))
+        local_folders: dict[str, Path] = {}
+        for address in dict.fromkeys(addresses):
+            folder, _, name = address.rpartition("/")
+            local_folder = local_folders.setdefault(folder, Path(root, f"{len(local_folders)}"))
+            local_folder.mkdir(exist_ok=True)
+            places[address] = str(local_folder / name)
+            with _opened(address) as (system, path):
+                system.get_file(path, places[address])
+        folders = {
+            local_folder.as_posix(): folder for folder, local_folder in local_folders.items()
+        }
+        results, (folder, _, name) = Path(root, "results"), output.rpartition("/")
+        results.mkdir()
+        if output:
+            places[output], folders[results.as_posix()] = str(results / name), folder
 
         def placed(value: Any) -> Any:
             if isinstance(value, tuple):
@@ -134,8 +144,8 @@ def local(options: Mapping[str, Any], output: str, cameras: Mapping[str, str]) -
         except TsoError as error:
             error.args = (files.named(str(error)),)
             raise
-        for file in sorted(Path(places[output]).parent.iterdir()) if output else []:
-            _store(file, f"{output.rpartition('/')[0]}/{file.name}")
+        for file in sorted(results.iterdir()):
+            _store(file, f"{folder}/{file.name}")
 
 
 def texts_of(options: Mapping[str, Any]) -> list[str]:
@@ -144,16 +154,11 @@ def texts_of(options: Mapping[str, Any]) -> list[str]:
     return [text for several in values for text in several if isinstance(text, str)]
 
 
-def _fetch(address: str, place: Path) -> None:
-    with _existing(address) as (system, path):
-        system.get_file(path, str(place))
-
-
 def _store(file: Path, address: str) -> None:
     """Store a file whole: under another name first, where names can be changed."""
-    system, path = _opened(address)
-    folder, _, name = path.rpartition("/")
-    system.makedirs(folder, exist_ok=True)
-    temporary = f"{folder}/.{name}.part"
-    system.put_file(str(file), temporary)
-    system.mv(temporary, path)
+    with _opened(address) as (system, path):
+        folder, _, name = path.rpartition("/")
+        system.makedirs(folder, exist_ok=True)
+        temporary = f"{folder}/.{name}.part"
+        system.put_file(str(file), temporary)
+        system.mv(temporary, path)

@@ -30,13 +30,13 @@ class Task:
 
     item : its name, which is that of its output in the batch's folder.
     options : its options of `tso refine`, with paths as text. key : of the result that is there.
-    written : whether its last end wrote a result. refusal : why it is not even begun.
+    has_result : whether its last end wrote one. refusal : why it is not even begun.
     """
 
     item: str
     options: ItemOptions
     key: str | None = None
-    written: bool = True
+    has_result: bool = True
     refusal: str = ""
 
 
@@ -97,12 +97,12 @@ def tasks_of(
     tasks = []
     for item, options in items:
         earlier = past.get(item, Past())
-        written = bool(earlier.end.get("output"))
-        by_other_rule = earlier.end.get("event") == "doubtful" and written == strict
+        has_result = bool(earlier.end.get("output"))
+        by_other_rule = earlier.end.get("event") == "doubtful" and has_result == strict
         key = None if by_other_rule else earlier.key
         # A process that died may have written its result before.
         why = "" if earlier.begun else refusal(item, options)
-        tasks.append(Task(item, options, key, written, why))
+        tasks.append(Task(item, options, key, has_result, why))
     return tasks
 
 

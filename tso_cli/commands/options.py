@@ -157,21 +157,19 @@ def command(
     The function gets them as a ``kind``, which has checked them.
     """
     table = declared(kind)  # type: ignore[arg-type]
-    headings = {one.name: one.option.heading for one in table.values() if one.option.heading}
-    brief = [one.name for one in table.values() if one.option.brief]
+    headings = {name: e.option.heading for name, e in table.items() if e.option.heading}
+    brief = [name for name, entry in table.items() if entry.option.brief]
 
     def decorate(function: Callable[[click.Context, T], None]) -> Command:
-        def callback(**chosen: Any) -> None:
-            given = {
-                name: value
-                for name, value in chosen.items()
-                if value is not None or table[name].optional
-            }
-            function(click.get_current_context(), kind(**given))
+        def callback(**values: Any) -> None:
+            for name, value in list(values.items()):
+                if value is None and not table[name].optional:
+                    del values[name]
+            function(click.get_current_context(), kind(**values))
 
         callback.__doc__ = function.__doc__
-        flags = {one.title: one.flag for one in table.values()}
-        parameters = [*(_parameter(one, flags) for one in table.values()), *more]
+        flags = {entry.title: entry.flag for entry in table.values()}
+        parameters = [*(_parameter(entry, flags) for entry in table.values()), *more]
         return Command(
             name, callback=callback, help=function.__doc__, params=parameters, headings=headings,
             brief=brief if len(brief) < len(table) else (),
@@ -180,41 +178,41 @@ def command(
     return decorate
 
 
-def parameter(one: Declared) -> click.Parameter:
+def parameter(entry: Declared) -> click.Parameter:
     """An option of no dataclass as click has it, which checks its value."""
 
     def checked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
-        for item in value if one.several else (value,):
-            if item is not None and not one.takes(item):
-                raise InputError(f"{one.flag} is {item}, expected {one.expected}")
+        for item in value if entry.several else (value,):
+            if item is not None and not entry.takes(item):
+                raise InputError(f"{entry.flag} is {item}, expected {entry.expected}")
         return value
 
-    made = _parameter(one, {})
-    made.callback = checked
-    return made
+    option = _parameter(entry, {})
+    option.callback = checked
+    return option
 
 
-def _parameter(one: Declared, flags: Mapping[str, str]) -> click.Parameter:
+def _parameter(entry: Declared, flags: Mapping[str, str]) -> click.Parameter:
     """An option of a dataclass as click has it."""
-    option = one.option
+    option = entry.option
     if option.role == "argument":
         return click.Argument(
-            [one.name], type=_click_type(one), nargs=-1 if one.several else 1,
-            required=one.required, metavar=option.metavar,
+            [entry.name], type=_click_type(entry), nargs=-1 if entry.several else 1,
+            required=entry.required, metavar=option.metavar,
         )  # fmt: skip
     words = f"  [default: {option.default_words}]" if option.default_words else ""
     help = _with_flags(option.help + words, flags)
     settings: dict[str, Any] = dict(help=help, metavar=option.metavar)
-    if one.plain is bool:
+    if entry.plain is bool:
         settings |= dict(is_flag=True)
     else:
-        settings |= dict(type=_click_type(one), multiple=one.several, required=one.required)
-        settings |= dict(nargs=one.length)
-        if not one.required and one.default not in (None, ()) and not option.default_words:
-            settings |= dict(default=one.default)
+        settings |= dict(type=_click_type(entry), multiple=entry.several, required=entry.required)
+        settings |= dict(nargs=entry.length)
+        if not entry.required and entry.default not in (None, ()) and not option.default_words:
+            settings |= dict(default=entry.default)
     if option.table is not None:
         settings |= dict(callback=listing(option.table), is_eager=True)
-    return click.Option([*one.flags, one.name], **settings)
+    return click.Option([*entry.flags, entry.name], **settings)
 
 
 def _with_flags(text: str, flags: Mapping[str, str]) -> str:
@@ -233,14 +231,14 @@ class _Parsed(click.ParamType):
         return value if isinstance(value, tuple) else self.parser.convert(value, param, ctx)
 
 
-def _click_type(one: Declared) -> Any:
-    if one.choices:
-        return click.Choice(one.choices)
-    if one.option.parser is not None:
-        return _Parsed(one.option.parser)
-    if one.plain is Path:
-        return FilePath(*one.option.words)
-    return AutoOrInteger() if AUTO in one.option.words else one.plain
+def _click_type(entry: Declared) -> Any:
+    if entry.choices:
+        return click.Choice(entry.choices)
+    if entry.option.parser is not None:
+        return _Parsed(entry.option.parser)
+    if entry.plain is Path:
+        return FilePath(*entry.option.words)
+    return AutoOrInteger() if AUTO in entry.option.words else entry.plain
 
 
 def _complete(command: click.Command) -> click.Command:
@@ -282,8 +280,8 @@ def listing(table: Callable[[], Mapping[str, str]]) -> Callable[..., Any]:
     """
 
     def print_if_asked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
-        asked = value == "list" or (isinstance(value, tuple) and "list" in value)
-        if asked and not ctx.resilient_parsing:
+        is_list = value == "list" or (isinstance(value, tuple) and "list" in value)
+        if is_list and not ctx.resilient_parsing:
             rows = table()
             width = max(map(len, rows), default=0)
             for name, words in rows.items():
@@ -396,15 +394,15 @@ def echo_json(document: Any) -> None:
 
 def json_text(document: Any) -> str:
     """A JSON document; numbers that are not finite become null."""
-    return json.dumps(plain(document), indent=2, allow_nan=False)
+    return json.dumps(json_values(document), indent=2, allow_nan=False)
 
 
-def plain(value: Any) -> Any:
+def json_values(value: Any) -> Any:
     """A document with nothing but what JSON has; numbers that are not finite become null."""
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): json_values(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [json_values(item) for item in value]
     if isinstance(value, Path):
         return str(value)
     if hasattr(value, "item"):  # numpy scalars
@@ -415,29 +413,26 @@ def plain(value: Any) -> Any:
 def command_line(name: str, kind: Any, values: Mapping[str, Any], *more: str) -> str:
     """A command with the ``values`` of its options and ``more`` words, as a line for a shell."""
     arguments, words = [], []
-    for one in declared(kind).values():
-        if one.name not in values:
+    for entry in declared(kind).values():
+        if entry.name not in values:
             continue
-        value = values[one.name]
-        several = value if one.several else (value,)
-        shown = [AUTO if item is None else str(item) for item in several]
-        if one.option.role == "argument":
-            arguments += shown
-        elif one.plain is bool:
-            words += [one.flag]
+        value = values[entry.name]
+        items = value if entry.several else (value,)
+        texts = [AUTO if item is None else str(item) for item in items]
+        if entry.option.role == "argument":
+            arguments += texts
+        elif entry.plain is bool:
+            words += [entry.flag]
         else:
-            words += [word for text in shown for word in (one.flag, text)]
+            words += [word for text in texts for word in (entry.flag, text)]
     return shlex.join(["tso", name, *arguments, *words, *more])
 
 
-def given(ctx: click.Context, *without: click.core.ParameterSource) -> dict[str, Any]:
-    """The parameters of a command that were not left to their defaults, nor come from others."""
-    others = (click.core.ParameterSource.DEFAULT, *without)
-    return {
-        name: value
-        for name, value in ctx.params.items()
-        if ctx.get_parameter_source(name) not in others
-    }
+def explicit_options(ctx: click.Context, *without: click.core.ParameterSource) -> dict[str, Any]:
+    """The parameters of a command whose values come neither from defaults nor ``without``."""
+    sources = (click.core.ParameterSource.DEFAULT, *without)
+    values = ctx.params.items()
+    return {name: v for name, v in values if ctx.get_parameter_source(name) not in sources}
 
 
 def log(message: str) -> None:

@@ -52,25 +52,24 @@ def _key(task: Task) -> tuple[str, dict[str, str]]:
 
     The key is of its settings, the contents of its files, and the state of remote files.
     """
-    chosen, item_options = options_of(task.options), task.options
+    refine_options, item_options = options_of(task.options), task.options
     cameras = {} if item_options.get("camera") else cameras_of(item_options.get("masks", ()))
     remote = [text for text in texts_of(item_options) if is_remote(text) and text != task.item]
     states = [state_of(address) for address in (*remote, *cameras.values())]
     # `Path` leaves an address a single slash.
     fetched = re.compile(r"[a-z][a-z0-9+.-]+:/")
-    files = [file for file in RefineInputs(chosen).files if not fetched.match(file.as_posix())]
-    settings = {name: getattr(chosen, name) for name in item_options}
+    files = [
+        file for file in RefineInputs(refine_options).files if not fetched.match(file.as_posix())
+    ]
+    settings = {name: getattr(refine_options, name) for name in item_options}
     return key_of(settings, [*states, *map(digest_of, files)]), cameras
 
 
 def unchanged(task: Task) -> bool:
     """Whether the inputs and settings of an item have the key of its last end."""
-    output = task.options["output"]
-    if is_remote(task.item):
-        there = exists(task.item)
-    else:
-        there = Path(output).is_file() and Path(record_of(output)).is_file()
-    return (there or not task.written) and _key(task)[0] == task.key
+    files = (task.options["output"], record_of(task.options["output"]))
+    is_there = exists(task.item) if is_remote(task.item) else all(Path(f).is_file() for f in files)
+    return (is_there or not task.has_result) and _key(task)[0] == task.key
 
 
 def refine_item(task: Task, pictures: Path | None) -> Outcome:
@@ -97,15 +96,16 @@ def _refined(task: Task, pictures: Path | None) -> Outcome:
     with local(task.options, task.item if is_remote(task.item) else "", cameras) as files:
         # Files that are not of this batch were refused before; one of its own may be half of a
         # result.
-        of_batch = {"overwrite": True, "record": True, "quiet": True}
-        chosen = options_of({**files.options, **of_batch})
-        item_options = {name: getattr(chosen, name) for name in files.options}
+        refine_options = options_of(
+            {**files.options, "overwrite": True, "record": True, "quiet": True}
+        )
+        explicit = {name: getattr(refine_options, name) for name in files.options}
         for name in ("output", *NAMED):
-            if (file := getattr(chosen, name)) is not None:
+            if (file := getattr(refine_options, name)) is not None:
                 file.parent.mkdir(parents=True, exist_ok=True)
-        with options.Warnings(quiet=True) as warned:
-            line = options.command_line("refine", RefineOptions, item_options)
-            report = RefineRun(chosen, item_options, warned.texts, line).work()
+        with options.Warnings(quiet=True) as warnings:
+            line = options.command_line("refine", RefineOptions, explicit)
+            report = RefineRun(refine_options, explicit, warnings.texts, line).work()
             if pictures is not None:
                 _draw(picture_of(pictures, task.item), report)
         for name in ("record", "report", "write_camera"):
@@ -114,7 +114,7 @@ def _refined(task: Task, pictures: Path | None) -> Outcome:
         document = report.document()
         reason = files.named(document["reason"])
     names = ("verdict", "confidence", "moved", "iou_before", "iou_after", "output")
-    values = {name: options.plain(document[name]) for name in names}
+    values = {name: options.json_values(document[name]) for name in names}
     if is_remote(task.item) and report.files:
         values["output"] = task.item
     if report.files and document["verdict"] != "doubtful":

@@ -13,13 +13,13 @@ from ...batch.manifest import CLOUD, MASK, OUTPUT, SEPARATOR, Item, in_shard
 from ...batch.remote import is_remote
 from ...batch.run import ItemOptions
 from ...errors import InputError, prefixed
-from ...io.clouds import check_suffix, output_suffix
+from ...io.clouds import check_suffix
 from ...io.output import require_suffix
 from ...io.reading import plain, shown
 from ...option import Declared
 from ..option_files import named, plain_name, value_of
 from ..refine.options import RefineOptions, is_word
-from ..refine.outputs import NAMED, OUTPUTS, record_of
+from ..refine.outputs import NAMED, OUTPUTS, own_suffix, record_of
 from .item import options_of
 from .page import INDEX, PICTURES
 
@@ -158,11 +158,7 @@ def _name(item: Item, options: ItemOptions) -> str:
     if "source" not in options:
         raise InputError(f"{item.place}: has no {CLOUD}, expected one")
     cloud = Path(options["source"])
-    return f"{cloud.stem}.refined{_own_suffix(cloud, options.get('mode', 'points'))}"
-
-
-def _own_suffix(cloud: Path, mode: str) -> str:
-    return output_suffix(cloud) if mode == "points" else ".ply"
+    return f"{cloud.stem}.refined{own_suffix(cloud, options.get('mode', 'points'))}"
 
 
 def _below(item: Item, title: str, name: str) -> str:
@@ -195,7 +191,7 @@ def _check(item: Item, options: ItemOptions, name: str) -> None:
     with prefixed(f"{item.place}: "):
         chosen = options_of(options)
         with prefixed(f"{OUTPUT}: "):
-            check_suffix(Path(name), _own_suffix(chosen.source, chosen.mode))
+            check_suffix(Path(name), own_suffix(chosen.source, chosen.mode))
         for option in NAMED:
             if (file := getattr(chosen, option)) is not None:
                 with prefixed(f"{option.replace('_', '-')}: "):

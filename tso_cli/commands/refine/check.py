@@ -18,47 +18,53 @@ from ...optimisation.config import Settings
 from ...refinement.run import check
 from ...scene.load import Scene
 from ...version import __version__
-from .. import options
+from ..options import echo_json
 from .sentences import Words
 from .sentences_of_moves import move_document, reading_of, words_of_move
 
 
 def check_scene(
-    scene: Scene, settings: Settings, words: Words, warned: list[str], as_json: bool, quiet: bool
+    scene: Scene, settings: Settings, words: Words, messages: list[str], as_json: bool, quiet: bool
 ) -> str:
     """Print cameras, scale and overlap. Returns what looks wrong, or "".
 
-    ``warned`` collects the warnings so far and those to come. Raises InputError where cloud and
-    mask do not overlap.
+    ``messages`` collects the warnings of the run. Raises InputError where cloud and mask do not
+    overlap.
     """
-    apart, move = None, None
+    no_overlap, move = None, None
     try:
         with blas.one_thread():
             diagnosis, cloud, move = check(scene.given, settings)
     except NoOverlapError as error:
-        apart, diagnosis, cloud = words.no_overlap(error), error.diagnosis, error.cloud
+        no_overlap, diagnosis, cloud = words.no_overlap(error), error.diagnosis, error.cloud
     for text in words.notes(diagnosis.notes):
         warnings.warn(text, stacklevel=1)
     if move and (reading := reading_of(move, settings.move, cloud.body.points)):
         warnings.warn(reading, stacklevel=1)
     suspicion = words.suspicion(diagnosis.suspicious)
-    if suspicion and apart:
-        warned.append(suspicion)  # the error says it too
+    if suspicion and no_overlap:
+        messages.append(suspicion)  # the error says it too
     elif suspicion:
         warnings.warn(suspicion, stacklevel=1)
     reason = suspicion or "".join(note.says for note in diagnosis.notes if note.name in UNSURE)
     if as_json:
-        document = _document(scene, cloud, diagnosis)
-        document |= move_document(move) if move else {}
-        verdict, suspects = "doubtful" if reason else None, words.suspects(diagnosis.suspicious)
-        document |= verdict_document(None, verdict, reason, warned, suspects)
-        options.echo_json({**document, "version": __version__})
+        document = {
+            **_document(scene, cloud, diagnosis),
+            **(move_document(move) if move else {}),
+            "confidence": None,
+            "verdict": "doubtful" if reason else None,
+            "reason": reason,
+            "warnings": messages,
+            "suspects": words.suspects(diagnosis.suspicious),
+            "version": __version__,
+        }
+        echo_json(document)
     elif not quiet:
         _print(scene, cloud, diagnosis)
         if move and (how := words_of_move(move, cloud.body.points)):
             click.echo(f"moves       {how}; the numbers are those after it")
-    if apart:
-        raise apart
+    if no_overlap:
+        raise no_overlap
     return reason
 
 
@@ -67,23 +73,6 @@ def camera_document(camera: Camera, source: str) -> dict[str, Any]:
     shape = {"model": camera.model, "width": camera.width, "height": camera.height}
     arrays = {name: getattr(camera, name).tolist() for name in ("K", "R", "t")}
     return {"source": source, **shape, **arrays}
-
-
-def verdict_document(
-    confidence: float | None,
-    verdict: str | None,
-    reason: str,
-    warned: list[str],
-    suspects: list[dict[str, Any]],
-) -> dict[str, Any]:
-    """What a user of many objects looks at first."""
-    return {
-        "confidence": confidence,
-        "verdict": verdict,
-        "reason": reason,
-        "warnings": warned,
-        "suspects": suspects,
-    }
 
 
 def _document(scene: Scene, cloud: ControlledCloud, diagnosis: Diagnosis) -> dict[str, Any]:

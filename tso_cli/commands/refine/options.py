@@ -241,16 +241,12 @@ class RefineOptions(RefineConfig):
         return RefineConfig(**chosen)
 
 
-def role_of(name: str) -> str:
-    """What an option of `tso refine` says (`Option.role`)."""
-    return declared(RefineOptions)[name].option.role
-
-
 def is_word(name: str, value: Any) -> bool:
     """Whether ``value`` is a word that the option takes in place of a file."""
     return str(value) in declared(RefineOptions)[name].option.words
 
 
-def without_roles(given: Mapping[str, Any], *roles: str) -> dict[str, Any]:
-    """The options of all other roles."""
-    return {name: value for name, value in given.items() if role_of(name) not in roles}
+def without_roles(values: Mapping[str, Any], *roles: str) -> dict[str, Any]:
+    """The ``values`` of the options whose role (`Option.role`) is another."""
+    table = declared(RefineOptions)
+    return {name: v for name, v in values.items() if table[name].option.role not in roles}

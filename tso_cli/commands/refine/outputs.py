@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from ...plots.recording import Iterates
 
 
+def own_suffix(source: Path, mode: str) -> str:
+    """The suffix of the input, if it is written again with other points."""
+    return output_suffix(source) if mode == "points" else ".ply"
+
+
 def record_of(result: str) -> str:
     """The name of a result's record."""
     return f"{splitext(result)[0]}.record.json"
@@ -91,14 +96,13 @@ NAMED = tuple(name for name in OUTPUTS if name != "record")
 class RefineOutputs:
     """What is written: the result, and the files next to it.
 
-    own_suffix : of the input, if it is written again with other points.
     next_to_it : the files next to the result, by the names of their options.
     """
 
     def __init__(self, options: RefineOptions) -> None:
         self.options = options
-        self.own_suffix = output_suffix(options.source) if options.mode == "points" else ".ply"
-        self.output = options.output or Path(f"{options.source.stem}.refined{self.own_suffix}")
+        self._suffix = own_suffix(options.source, options.mode)
+        self.output = options.output or Path(f"{options.source.stem}.refined{self._suffix}")
         files = {name: getattr(options, name) for name in NAMED}
         files["record"] = Path(record_of(str(self.output))) if options.record else None
         self.next_to_it: dict[str, Path] = {
@@ -112,7 +116,7 @@ class RefineOutputs:
 
     def check(self, inputs: list[Path]) -> None:
         """InputError for an output that cannot be written or would replace another file."""
-        check_suffix(self.output, self.own_suffix)
+        check_suffix(self.output, self._suffix)
         if self.options.point_confidence and self.output.suffix.lower() != ".ply":
             raise self._of_suffix(".ply to hold --point-confidence")
         if self.options.crop and self.output.suffix.lower() not in NEW:

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,8 +15,8 @@ import click
 from ...errors import InputError
 from ...io.reading import digest_of, plain, shown
 from ...version import __version__
-from .. import options
 from ..option_files import read_options, set_defaults
+from ..options import CONFIG
 from .inputs import RefineInputs
 from .options import RefineOptions, is_word, without_roles
 
@@ -33,24 +33,20 @@ class _Record(NamedTuple):
     inputs: dict[str, str]  # absolute path -> digest
 
 
-def key_of(given: Mapping[str, Any], digests: Iterable[str]) -> str:
-    """What no other run has: the version, the options given, and the files' contents."""
-    settings = {
-        name: str(value) if is_word(name, value) else value
-        for name, value in sorted(without_roles(given, "output", "run").items())
-        if is_word(name, value) or not _has_path(value)
-    }
+def key_of(explicit: Mapping[str, Any], digests: Iterable[str]) -> str:
+    """What no other run has: the version, the options that were given, the files' contents."""
+    settings = {}
+    for name, value in sorted(without_roles(explicit, "output", "run").items()):
+        values = value if isinstance(value, (tuple, list)) else (value,)
+        if is_word(name, value):
+            settings[name] = str(value)
+        elif not any(isinstance(item, Path) for item in values):
+            settings[name] = value
     text = json.dumps([__version__, settings, list(digests)], default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _has_path(value: Any) -> bool:
-    return isinstance(value, Path) or (
-        isinstance(value, (tuple, list)) and any(isinstance(item, Path) for item in value)
-    )
-
-
-def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def options_of(explicit: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The options as a record stores them, with paths relative to its ``folder``."""
 
     def stored(value: Any) -> Any:
@@ -60,7 +56,7 @@ def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
     return {
         name: str(value) if is_word(name, value) else stored(value)
-        for name, value in without_roles(given, "run").items()
+        for name, value in without_roles(explicit, "run").items()
     }
 
 
@@ -75,7 +71,7 @@ def read_config(ctx: click.Context, path: Path) -> None:
     The file is a record, or TOML or JSON with names of options as its keys. Its paths are relative
     to its folder.
     """
-    ctx.meta[options.CONFIG] = path
+    ctx.meta[CONFIG] = path
     document = read_options(path, EXPECTED)
     if "schema" in document:
         ctx.meta[_RECORD] = _record(path, document)
@@ -99,7 +95,7 @@ def _record(path: Path, document: dict[str, Any]) -> _Record:
     return _Record(path, document["version"], digests)
 
 
-def warn_of_changes(ctx: click.Context, chosen: RefineOptions) -> None:
+def warn_of_changes(ctx: click.Context, options: RefineOptions) -> None:
     """Warn of what differs from the run whose record --config names.
 
     Files that the command line names were not of that run.
@@ -113,15 +109,6 @@ def warn_of_changes(ctx: click.Context, chosen: RefineOptions) -> None:
             "may differ",
             stacklevel=2,
         )
-    for place, what in _changes(ctx, chosen, record):
-        path = os.path.relpath(place)
-        warnings.warn(f"{path}: {what} {record.path}, so the result may differ", stacklevel=2)
-
-
-def _changes(
-    ctx: click.Context, chosen: RefineOptions, record: _Record
-) -> Iterator[tuple[str, str]]:
-    """Each file that differs from the record, by its absolute path, and in what."""
     typed = [
         path
         for name, value in without_roles(ctx.params, "output", "run").items()
@@ -129,15 +116,19 @@ def _changes(
         for path in (value if isinstance(value, tuple) else (value,))
         if isinstance(path, Path)
     ]
-    files = [path for path in RefineInputs(chosen).files if path not in typed]
+    files = [path for path in RefineInputs(options).files if path not in typed]
     places = set(map(os.path.abspath, files))
     digests = {os.path.abspath(path): digest_of(path) for path in files if path.exists()}
+    changes = {}
     for place, digest in digests.items():
         if record.inputs.get(place, digest) != digest:
-            yield place, "has changed since"
+            changes[place] = "has changed since"
         # A file that was moved has its digest in the record.
         elif place not in record.inputs and digest not in record.inputs.values() and not typed:
-            yield place, "is no input of"
+            changes[place] = "is no input of"
     for place, digest in record.inputs.items():
         if place not in places and digest not in digests.values() and not typed:
-            yield place, "is not read now, but is an input of"
+            changes[place] = "is not read now, but is an input of"
+    for place, what in changes.items():
+        path = os.path.relpath(place)
+        warnings.warn(f"{path}: {what} {record.path}, so the result may differ", stacklevel=2)

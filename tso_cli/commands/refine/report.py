@@ -22,11 +22,11 @@ from ...refinement.judge import CONTRADICTED_WEIGHT
 from ...refinement.result import RefineResult
 from ...scene.load import Scene
 from ...version import __version__
-from .. import options
-from .check import camera_document, verdict_document
+from ..options import json_text, json_values
+from .check import camera_document
 from .inputs import RefineInputs
 from .record import SCHEMA, key_of, options_of, relative
-from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, shown, why_unmoved
+from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, two_places, why_unmoved
 from .sentences_of_moves import (
     alternatives_of,
     move_document,
@@ -88,7 +88,7 @@ def objective_of(result: RefineResult) -> str:
 class RefineReport:
     """A result, what it was made from, and what is said of it.
 
-    given : the options that were not left to their defaults. command : the line for a shell.
+    explicit : the options that were not left to their defaults. command : the line for a shell.
     files : what is written, by the names of the options; empty if nothing is.
     photos : of the views, for pictures. iterates : for --rerun. seconds : wall time of each phase.
     """
@@ -97,7 +97,7 @@ class RefineReport:
     scene: Scene
     inputs: RefineInputs
     words: Words
-    given: Mapping[str, Any]
+    explicit: Mapping[str, Any]
     command: str
     files: Mapping[str, Path]
     photos: Sequence[Pixels | None]
@@ -125,7 +125,7 @@ class RefineReport:
             "checkpoint": self.inputs.checkpoint,
             "assume": list(self.inputs.options.assume),
             "inputs": self.inputs.files,
-            "options": dict(self.given),
+            "options": dict(self.explicit),
             **{
                 name: self.files.get(name)
                 for name in ("output", "overlay", "report", "rerun", "record")
@@ -135,13 +135,11 @@ class RefineReport:
             "frame": self.scene.frame,
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
-            **verdict_document(
-                result.trust.confidence,
-                result.trust.verdict,
-                self.words.reason(result),
-                self.warnings,
-                self.words.suspects(result.findings),
-            ),
+            "confidence": result.trust.confidence,
+            "verdict": result.trust.verdict,
+            "reason": self.words.reason(result),
+            "warnings": self.warnings,
+            "suspects": self.words.suspects(result.findings),
             "moved": result.moved,
             "determined": result.determined,
             **move_document(result.move),
@@ -196,12 +194,12 @@ class RefineReport:
         record = {
             "schema": SCHEMA,
             "command": self.command,
-            "key": key_of(self.given, digests.values()),
+            "key": key_of(self.explicit, digests.values()),
             **self.document(),
             "inputs": digests,
-            "options": options_of(self.given, folder),
+            "options": options_of(self.explicit, folder),
         }
-        return options.json_text(record) + "\n"
+        return json_text(record) + "\n"
 
     def page(self) -> PageWords:
         """The words of the page: the lines that are printed, the document, and the command."""
@@ -218,7 +216,7 @@ class RefineReport:
             warnings=self.warnings,
             mirror=self._mirror(),
             command=self.command,
-            document=options.plain(self.document()),
+            document=json_values(self.document()),
         )
 
     def summary(self) -> dict[str, str]:
@@ -266,7 +264,7 @@ class RefineReport:
         trust = self.result.trust
         if trust.verdict is None:
             return "no confidence; a rising IoU proves nothing"
-        sure = "" if trust.confidence is None else f", confidence {shown(trust.confidence)}"
+        sure = "" if trust.confidence is None else f", confidence {two_places(trust.confidence)}"
         return f"{trust.verdict}{sure}"
 
     def _moved(self) -> str:

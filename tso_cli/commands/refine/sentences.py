@@ -200,7 +200,9 @@ class Words:
         messages = [text for text in (reading, _of_course(result)) if text]
         if trust.verdict == "doubtful" and not refused:
             sure = (
-                f" (confidence {shown(trust.confidence)})" if trust.confidence is not None else ""
+                f" (confidence {two_places(trust.confidence)})"
+                if trust.confidence is not None
+                else ""
             )
             effect = ", so the cloud is left as it was" if _withheld(fit) else ""
             if fit.outcome == "moved":
@@ -216,7 +218,7 @@ def _is_turned_cloud(finding: Finding) -> bool:
     return not finding.without and len(hypotheses) == 1 and hypotheses[0].turns
 
 
-def shown(confidence: float) -> str:
+def two_places(confidence: float) -> str:
     """With two places, rounded down: what is printed as 0.80 is not doubtful."""
     return f"{confidence:.4f}"[:4]
 

@@ -79,7 +79,7 @@ def write_page(
         _details(document, words),
     ])  # fmt: skip
     library, script = (_read(name) for name in ("three.min.js", "page.js"))
-    allowed = " ".join(f"'sha256-{_digest(one)}'" for one in (library, script))
+    allowed = " ".join(f"'sha256-{_digest(source)}'" for source in (library, script))
     policy = (
         f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:"
     )
@@ -179,15 +179,15 @@ def _trust(document: dict[str, Any], words: PageWords) -> str:
     if confidence is not None:
         # What harm is, the verdict says.
         meaning = "probability that the displacement does not harm the cloud"
-        shown = f"{confidence:.4f}"[:4]
+        short = f"{confidence:.4f}"[:4]
         parts.append(
-            f'<p class=number>{shown}</p><meter min=0 max=1 low=0.5 value="{confidence:.4f}" '
-            f'aria-label="confidence {shown}"></meter><p><b>Confidence</b>: {meaning}.</p>'
+            f'<p class=number>{short}</p><meter min=0 max=1 low=0.5 value="{confidence:.4f}" '
+            f'aria-label="confidence {short}"></meter><p><b>Confidence</b>: {meaning}.</p>'
         )
-    if words.reason and not any(words.reason in one for one in words.warnings):
+    if words.reason and not any(words.reason in warning for warning in words.warnings):
         parts.append(f"<p><b>Reason</b>: {text(words.reason)}.</p>")
     if words.warnings:
-        items = "".join(f"<li>{text(one)}</li>" for one in words.warnings)
+        items = "".join(f"<li>{text(warning)}</li>" for warning in words.warnings)
         parts.append(f'<p><b>Warnings</b></p><ul class="warnings">{items}</ul>')
     else:
         parts.append("<p>Nothing suspicious was found in the input.</p>")
@@ -196,7 +196,7 @@ def _trust(document: dict[str, Any], words: PageWords) -> str:
 
 def _assumed(words: PageWords) -> str:
     *used, seconds = words.used
-    items = "".join(f"<li>{text(one)}</li>" for one in used)
+    items = "".join(f"<li>{text(assumption)}</li>" for assumption in used)
     return f"<ul>{items}</ul><p class=quiet>Took {text(seconds)} until this page was written.</p>"
 
 
@@ -274,9 +274,9 @@ def _views_section(document: dict[str, Any], pictures: Sequence[dict[str, Any]])
         + _check("line-result", "silhouette of the result", True, "result")
         + (_check("photo", "photo", True) if photo else "")
     )
-    chosen = ""
+    selection = ""
     if len(pictures) < len(views):
-        chosen = f"<p class=quiet>{len(pictures)} of {len(views)} views, evenly chosen.</p>"
+        selection = f"<p class=quiet>{len(pictures)} of {len(views)} views, evenly chosen.</p>"
     cards = "".join(_card(views[p["number"]], p, several) for p in pictures)
     unknown = any(picture["unknown"] for picture in pictures)
     legend = "".join(
@@ -294,7 +294,7 @@ def _views_section(document: dict[str, Any], pictures: Sequence[dict[str, Any]])
     kind = "many" if several else "one"
     return (
         f"<section><h2>{heading}</h2><div class=controls><fieldset><legend>Outlines</legend>"
-        f"{checks}</fieldset></div><p class=legend>{legend}</p>{chosen}"
+        f"{checks}</fieldset></div><p class=legend>{legend}</p>{selection}"
         f'<div class="cards {kind}">{cards}</div></section>'
     )
 
@@ -314,13 +314,15 @@ def _card(view: dict[str, Any], picture: dict[str, Any], several: bool) -> str:
     if picture["part"]:
         left, top, right, bottom = picture["part"]
         part = f"Columns {left} to {right - 1}, rows {top} to {bottom - 1}. "
-    differences = "".join(
-        f'<figure><img src="{one["uri"]}" width="{one["width"]}" height="{one["height"]}" '
-        f'alt="{label}, view {number}: {100 * one["missing"]:.1f} % of the mask missing, '
-        f'{100 * one["extra"]:.1f} % extra"><figcaption>{label}: {100 * one["missing"]:.1f} % of '
-        f"the mask missing, {100 * one['extra']:.1f} % extra</figcaption></figure>"
-        for label, one in zip(("Start", "Result"), picture["differences"], strict=True)
-    )
+    figures = ""
+    for stage, difference in zip(("Start", "Result"), picture["differences"], strict=True):
+        missing, extra = (100 * difference[name] for name in ("missing", "extra"))
+        shares = f"{missing:.1f} % of the mask missing, {extra:.1f} % extra"
+        figures += (
+            f'<figure><img src="{difference["uri"]}" width="{difference["width"]}" '
+            f'height="{difference["height"]}" alt="{stage}, view {number}: {shares}">'
+            f"<figcaption>{stage}: {shares}</figcaption></figure>"
+        )
     return (
         f"<article class=view><h3>View {number}: {name}</h3>"
         f"<p>{iou}</p>"
@@ -330,13 +332,13 @@ def _card(view: dict[str, Any], picture: dict[str, Any], several: bool) -> str:
         f'<image {"class=photo " if picture["photo"] else ""}id="base-{picture["number"]}" '
         f'href="{picture["base"]}" width="{width}" height="{height}"/>{paths}</svg>'
         f"<figcaption>{what}. {part}</figcaption></figure>"
-        f"<div class=differences>{differences}</div></div></article>"
+        f"<div class=differences>{figures}</div></div></article>"
     )
 
 
 def _table(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     """A table. In a narrow window the cells of more than two columns are below each other."""
-    head = "".join(f"<th scope=col>{text(one)}</th>" for one in header)
+    head = "".join(f"<th scope=col>{text(name)}</th>" for name in header)
     lines = "".join(
         "<tr>"
         + "".join(
@@ -369,8 +371,12 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
     suspicious = ""
     if suspects:
         rows = (
-            (one["what"], one["option"], f"{one['score']:.3f}" if one["score"] else "-")
-            for one in suspects
+            (
+                suspect["what"],
+                suspect["option"],
+                f"{suspect['score']:.3f}" if suspect["score"] else "-",
+            )
+            for suspect in suspects
         )
         table = _table(("what may be wrong", "what to try", "IoU then"), rows)
         suspicious = f"<h3>Findings</h3>{table}"
@@ -383,7 +389,8 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
     )
     dumped = json.dumps(document, indent=2, allow_nan=False)
     conventions = "".join(
-        f"<dt>{text(name)}</dt><dd>{text(one)}</dd>" for name, one in document["convention"].items()
+        f"<dt>{text(name)}</dt><dd>{text(meaning)}</dd>"
+        for name, meaning in document["convention"].items()
     )
     return (
         "<section><h2>Details</h2>"
