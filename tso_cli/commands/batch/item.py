@@ -124,7 +124,7 @@ def _refined(task: Task, pictures: Path | None) -> Outcome:
 
 def _draw(picture: Path, report: RefineReport) -> None:
     """Draw the picture of an item for the index page."""
-    from ...plots.thumbnail import write_thumbnail
+    from ...plots.overlay import write_thumbnail
 
     picture.parent.mkdir(parents=True, exist_ok=True)
     with atomic_output(picture, overwrite=True) as temporary:

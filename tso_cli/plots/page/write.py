@@ -71,32 +71,42 @@ def write_page(
     solid = solid_of(result, scene)
     solid["backdrops"] = {str(picture["number"]): picture["box"] for picture in pictures}
     document = words.document
-    body = "".join([
-        _header(words),
+    main = "".join([
+        f"<header><p class=kind>tso refine</p><h1>{text(words.title)}</h1>",
+        f"<p class=written>{text(words.written)}</p></header>",
         _answers(document, words, solid),
         _solid_section(solid, pictures),
         _views_section(document, pictures),
         _details(document, words),
     ])  # fmt: skip
-    library, script = (_read(name) for name in ("three.min.js", "page.js"))
-    allowed = " ".join(f"'sha256-{_digest(source)}'" for source in (library, script))
-    policy = (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:"
-    )
-    path.write_text(
-        "<!DOCTYPE html>\n"
-        '<html lang="en"><head><meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{text(words.title)}: tso refine</title>\n"
-        f"<style>{_variables()}\n{_read('page.css')}</style></head>\n<body>\n"
-        f"<main>{body}</main>\n"
+    body = (
+        f"<main>{main}</main>\n"
         f'<script type="application/json" id="solid">{as_json(solid)}</script>\n'
         f"<!--\n{_read('three.LICENSE')}-->\n"
-        f"<script>{library}</script>\n<script>{script}</script>\n</body></html>\n",
-        encoding="utf-8",
-        errors="backslashreplace",  # names of files may hold bytes that are not UTF-8
-        newline="\n",
+    )
+    page = html_page(
+        f"{text(words.title)}: tso refine",
+        f"{_variables()}\n{_read('page.css')}",
+        body,
+        [_read("three.min.js"), _read("page.js")],
+        images="data: blob:",
+    )
+    # Names of files may hold bytes that are not UTF-8.
+    path.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def html_page(title: str, style: str, body: str, scripts: Sequence[str], images: str) -> str:
+    """A page that runs these ``scripts`` alone, and loads ``images`` from these sources alone."""
+    digests = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+        f"script-src {allowed}; style-src 'unsafe-inline'; img-src {images}\">\n"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{title}</title>\n<style>{style}</style></head>\n<body>\n{body}"
+        + "".join(f"<script>{script}</script>\n" for script in scripts)
+        + "</body></html>\n"
     )
 
 
@@ -115,10 +125,6 @@ def _read(name: str) -> str:
     return (FOLDER / name).read_text(encoding="utf-8")
 
 
-def _digest(script: str) -> str:
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-
-
 def _variables() -> str:
     """The colours that Python knows, for the style sheet."""
     lines = "".join(f"--{name}:{colour};" for name, colour in LINES.items())
@@ -126,13 +132,6 @@ def _variables() -> str:
         red, green, blue = (round(255 * channel) for channel in colour)
         lines += f"--{name.replace(' ', '-')}:rgb({red},{green},{blue});"
     return f":root{{{lines}}}"
-
-
-def _header(words: PageWords) -> str:
-    return (
-        f"<header><p class=kind>tso refine</p><h1>{text(words.title)}</h1>"
-        f"<p class=written>{text(words.written)}</p></header>"
-    )
 
 
 def _answers(document: dict[str, Any], words: PageWords, solid: dict[str, Any]) -> str:
@@ -145,12 +144,15 @@ def _answers(document: dict[str, Any], words: PageWords, solid: dict[str, Any]) 
         f"<p><b>IoU</b> {text(words.lines['IoU'])}.</p>"
         f"<p><b>Moved</b> {text(words.lines['moved'])}.{_drawn(document, solid)}</p>"
     )
+    *assumptions, seconds = words.used
+    items = "".join(f"<li>{text(assumption)}</li>" for assumption in assumptions)
     return (
         "<section class=answers>"
         f"<article><h2>Did it get better?</h2>{better}</article>"
         f"<article><h2>By how much?</h2>{much}</article>"
         f"<article><h2>Can I trust it?</h2>{_trust(document, words)}</article>"
-        f"<article><h2>What did it assume?</h2>{_assumed(words)}</article>"
+        f"<article><h2>What did it assume?</h2><ul>{items}</ul>"
+        f"<p class=quiet>Took {text(seconds)} until this page was written.</p></article>"
         "</section>"
     )
 
@@ -192,12 +194,6 @@ def _trust(document: dict[str, Any], words: PageWords) -> str:
     else:
         parts.append("<p>Nothing suspicious was found in the input.</p>")
     return "".join(parts)
-
-
-def _assumed(words: PageWords) -> str:
-    *used, seconds = words.used
-    items = "".join(f"<li>{text(assumption)}</li>" for assumption in used)
-    return f"<ul>{items}</ul><p class=quiet>Took {text(seconds)} until this page was written.</p>"
 
 
 def _check(name: str, words: str, on: bool, key: str = "") -> str:
