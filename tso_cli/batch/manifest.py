@@ -5,11 +5,11 @@ An item is what one run of `tso refine` is given: the name of an option -> its v
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import json
 import os
-import re
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -48,8 +48,6 @@ BY_NAME = (
     "expected NAME.png or NAME.mask.png next to NAME.ply, or the folders clouds, masks and "
     "cameras; or give a manifest (CSV with the columns cloud and mask)"
 )
-# The mark of UTF-8 that some programs write, then blanks, then what the manifest begins with.
-_BEGIN = re.compile(rb"(?:\xef\xbb\xbf)?\s*(.?)", re.DOTALL)
 
 
 class Item(NamedTuple):
@@ -68,12 +66,12 @@ def read_manifest(manifest: Path | str) -> Iterator[Item]:
     if isinstance(manifest, Path) and manifest.is_dir():
         yield from _of_folder(manifest)
         return
-    data, name = _read(manifest)
-    begin = _BEGIN.match(data)
-    if not begin or not begin[1]:
+    text, name = _read(manifest)
+    if not (beginning := text.lstrip()[:1]):
         raise InputError(f"{name}: is empty, expected {EXPECTED}")
-    item = None
-    for item in (_of_lines if begin[1] in b"{[" else _of_csv)(_lines(data, name), name):
+    # Lines end at \n alone: a cell may hold U+2028 and the like.
+    lines, item = io.StringIO(text, newline="\n"), None
+    for item in (_of_lines if beginning in "{[" else _of_csv)(lines, name):
         if CLOUD not in item.values:
             raise InputError(f"{item.place} has no {CLOUD}, expected the file of a cloud or mesh")
         yield item
@@ -87,29 +85,25 @@ def folder_of(manifest: Path | str) -> str:
     return "" if is_folder else os.path.dirname(str(manifest))
 
 
-def _read(manifest: Path | str) -> tuple[bytes, str]:
-    """The bytes of a manifest, and what messages call it."""
+def _read(manifest: Path | str) -> tuple[str, str]:
+    """The text of a manifest, and what messages call it."""
+    name = "stdin" if manifest == STDIN else str(manifest)
     if isinstance(manifest, str):
-        return read_remote(manifest), manifest
-    if manifest == STDIN:
-        return sys.stdin.buffer.read(), "stdin"
-    return read_bytes(manifest, EXPECTED), str(manifest)
-
-
-def _lines(data: bytes, name: str) -> Iterator[str]:
-    r"""The lines of a text. They end at \n alone: text may hold U+2028 and the like."""
-    for number, line in enumerate(io.BytesIO(data), 1):
-        try:
-            text = line.decode("utf-8-sig" if number == 1 else "utf-8")
-            wrong = 0 if "\0" in text else None  # UTF-16 without a mark of its own
-        except UnicodeDecodeError as error:
-            wrong = line[error.start]
-        if wrong is not None:
-            raise InputError(
-                f"{name}: is not UTF-8 (row {number} has the byte 0x{wrong:02x}), expected "
-                f"{EXPECTED}, in UTF-8"
-            )
-        yield text
+        data = read_remote(manifest)
+    else:
+        data = sys.stdin.buffer.read() if manifest == STDIN else read_bytes(manifest, EXPECTED)
+    data = data.removeprefix(codecs.BOM_UTF8)
+    try:
+        text, place = data.decode(), data.find(b"\0")  # of UTF-16 without a mark of its own
+    except UnicodeDecodeError as error:
+        text, place = "", error.start
+    if place >= 0:
+        row = data.count(b"\n", 0, place) + 1
+        raise InputError(
+            f"{name}: is not UTF-8 (row {row} has the byte 0x{data[place]:02x}), expected "
+            f"{EXPECTED}, in UTF-8"
+        )
+    return text, name
 
 
 @lru_cache

@@ -455,10 +455,10 @@ class Warnings:
     def __exit__(self, *_: object) -> None:
         warnings.showwarning = self._show
 
-    def _keep(self, message: Warning | str, *rest: Any, **named: Any) -> None:
+    def _keep(self, message: Warning | str, *rest: Any, **more: Any) -> None:
         self.texts.append(str(message))
         if not self.quiet:
-            self._show(message, *rest, **named)
+            self._show(message, *rest, **more)
 
 
 class ProgressBar:
@@ -481,7 +481,7 @@ class ProgressBar:
         """Show ``done`` of ``total``."""
         mark = done * (40 if self._terminal else 10) // max(total, 1)
         now = time.monotonic()
-        self._first = self._first or (now, done)
+        self._first = begun, done_before = self._first or (now, done)
         if self._shown < 0 and now < self._due:
             return
         if mark == self._shown and now < self._due and not (done == total and self._terminal):
@@ -492,9 +492,15 @@ class ProgressBar:
         if not self._terminal:
             log(f"{self.label} {words}")
             return
+        try:
+            columns = os.get_terminal_size(sys.stderr.fileno()).columns or 80
+        except OSError:
+            columns = 80
         # A line that wraps cannot be overwritten: shorten the bar until it fits.
-        width = min(40, _columns() - len(f"{self.label} [] {total}/{total} {note}, 00:00 left") - 1)
-        words += self._left(now, done, total)
+        width = min(40, columns - len(f"{self.label} [] {total}/{total} {note}, 00:00 left") - 1)
+        if done_before < done < total:
+            seconds = math.ceil((now - begun) / (done - done_before) * (total - done))
+            words += f", {seconds // 60}:{seconds % 60:02} left"
         filled = done * width // max(total, 1)
         bar = f"[{'#' * filled}{'.' * (width - filled)}] " if width > 0 else ""
         self._open = done != total
@@ -505,18 +511,3 @@ class ProgressBar:
         if self._open:
             log("")
         self._open = False
-
-    def _left(self, now: float, done: int, total: int) -> str:
-        began, before = self._first or (now, done)
-        if not before < done < total:
-            return ""
-        seconds = math.ceil((now - began) / (done - before) * (total - done))
-        return f", {seconds // 60}:{seconds % 60:02} left"
-
-
-def _columns() -> int:
-    """Width of the terminal."""
-    try:
-        return os.get_terminal_size(sys.stderr.fileno()).columns or 80
-    except OSError:
-        return 80

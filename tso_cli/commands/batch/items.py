@@ -48,10 +48,8 @@ def options_of_items(
     writers: dict[str, str] = {}
     checked_settings: set[tuple[Any, ...]] = set()
     for item in items:
-        try:
+        with prefixed(f"{item.place}: "):
             columns = _columns(tuple(item.values))
-        except InputError as error:
-            raise InputError(f"{item.place}: {error}") from None
         options: dict[str, Any] = {"strict": True} if strict else {}
         for title, option in columns.items():
             options[option.name] = _value(item, title, option, folder)
@@ -177,8 +175,8 @@ def _below(item: Item, title: str, name: str) -> str:
             f"only {OUTPUT} may be an address"
         )
     file = path.as_posix()
-    of_batch = file == INDEX or (file.startswith(f"{PICTURES}/") and file.endswith(".png"))
-    if of_batch or (title != OUTPUT and file.endswith(record_of(""))):
+    of_page = file == INDEX or (file.startswith(f"{PICTURES}/") and file.endswith(".png"))
+    if of_page or (title != OUTPUT and file.endswith(record_of(""))):
         raise InputError(
             f"{item.place}: {title} is {plain(name)}, which tso batch writes itself, expected "
             "another name"
@@ -189,10 +187,10 @@ def _below(item: Item, title: str, name: str) -> str:
 def _check(item: Item, options: ItemOptions, name: str) -> None:
     """Raise InputError with row and column for what `tso refine` does not take; reads no file."""
     with prefixed(f"{item.place}: "):
-        chosen = options_of(options)
+        refine_options = options_of(options)
         with prefixed(f"{OUTPUT}: "):
-            check_suffix(Path(name), own_suffix(chosen.source, chosen.mode))
+            check_suffix(Path(name), own_suffix(refine_options.source, refine_options.mode))
         for option in NAMED:
-            if (file := getattr(chosen, option)) is not None:
+            if (file := getattr(refine_options, option)) is not None:
                 with prefixed(f"{option.replace('_', '-')}: "):
                     require_suffix(file, OUTPUTS[option].suffix)

@@ -43,10 +43,10 @@ class RefineInputs:
         options = self.options
         cameras = [options.camera] if options.camera else map(find_camera, self.masks)
         prior = None if is_word("prior", options.prior) else options.prior
-        of_all = [*([] if options.fit else cameras), options.intrinsics, self.checkpoint, prior]
-        of_views = [*options.ignore, *options.depth, *options.image]
-        files = [Path(file) for file in of_all if file is not None]
-        return [options.source, *self.masks, *files, *of_views]
+        optional = [*([] if options.fit else cameras), options.intrinsics, self.checkpoint, prior]
+        files = [Path(file) for file in optional if file is not None]
+        images = [*options.ignore, *options.depth, *options.image]
+        return [options.source, *self.masks, *files, *images]
 
     @property
     def view_files(self) -> ViewFiles:

@@ -235,10 +235,10 @@ class RefineOptions(RefineConfig):
 
     def config(self, **more: Any) -> RefineConfig:
         """The settings of the method, with ``more``."""
-        chosen = {field.name: getattr(self, field.name) for field in fields(RefineConfig)} | more
+        settings = {field.name: getattr(self, field.name) for field in fields(RefineConfig)}
         if self.refine_camera:
-            chosen["move"] = "camera"
-        return RefineConfig(**chosen)
+            settings["move"] = "camera"
+        return RefineConfig(**settings | more)
 
 
 def is_word(name: str, value: Any) -> bool:
