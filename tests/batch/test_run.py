@@ -47,9 +47,8 @@ def batch(tmp_path):
         ):
             past = read_journals([path])
             tasks = tasks_of(items, past, lambda item, options: "")
-            doing = partial(work, folder=tmp_path, poison=poison)
-            engine = Engine(pool, window=4)
-            return run(tasks, past, doing, checking, engine, journal, on_end, interrupted)
+            doing, used = partial(work, folder=tmp_path, poison=poison), Engine(pool, 4)
+            return run(tasks, past, doing, checking, used, journal, on_end, interrupted)
 
     return go
 
@@ -95,7 +94,7 @@ def test_an_item_whose_settings_changed_is_done_again(batch, tmp_path):
 def test_an_item_that_kills_its_process_is_named_and_loses_no_other(batch, tmp_path):
     summary = batch(poison=("7",))
     assert summary.counts == {"done": 10, "refused": 1, "failed": 1}
-    ((name, outcome),) = [one for one in summary.ended if one[1].event == "failed"]
+    ((name, outcome),) = [one for one in summary.not_done if one[1].event == "failed"]
     assert name == "7"
     assert outcome.reason == (
         "its process was killed by SIGKILL, perhaps for lack of memory, 3 times"
@@ -124,7 +123,7 @@ def test_what_a_process_wrote_before_it_died_is_of_this_batch(tmp_path):
         journal.add("1", "refused", reason="exists already")
     past = read_journals([tmp_path / "journal.jsonl"])
     asked = []
-    tasks_of(ITEMS[:3], past, lambda item, options: asked.append(item) or "")
+    tasks_of(ITEMS[:3], past, lambda item, _: asked.append(item) or "")
     assert asked == ["1", "2"]
 
 

@@ -55,25 +55,20 @@ class Outcome:
 class Summary:
     """What became of the items, in this run or before it.
 
-    skipped : how many ended in earlier runs. seconds : of the items of this run. ended : the items
-    that are doubtful or worse.
+    skipped : how many ended in earlier runs. not_done : the items that are doubtful or worse.
     """
 
     total: int
     counts: Counter[str] = field(default_factory=Counter)
     skipped: int = 0
-    seconds: float = 0.0
-    reasons: Counter[str] = field(default_factory=Counter)
-    ended: list[tuple[str, Outcome]] = field(default_factory=list)
+    not_done: list[tuple[str, Outcome]] = field(default_factory=list)
     quarantined: list[str] = field(default_factory=list)
     interrupted: bool = False
 
     def add(self, item: str, outcome: Outcome) -> None:
         self.counts[outcome.event] += 1
-        self.seconds += outcome.seconds
         if outcome.event != "done":
-            self.reasons[outcome.reason] += 1
-            self.ended.append((item, outcome))
+            self.not_done.append((item, outcome))
 
     @property
     def done(self) -> int:
@@ -125,16 +120,16 @@ def run(
     summary = Summary(len(tasks))
     stopping = interrupted.is_set
 
-    def end(item: str, outcome: Outcome) -> None:
+    def count(item: str, outcome: Outcome) -> None:
         summary.add(item, outcome)
         on_end(item, outcome, summary)
 
-    def end_now(item: str, outcome: Outcome) -> None:
+    def end(item: str, outcome: Outcome) -> None:
         line = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
         if outcome.reason:
             line["reason"] = outcome.reason
         journal.add(item, outcome.event, **line)
-        end(item, outcome)
+        count(item, outcome)
 
     unchanged_items = set()
     checks = each(
@@ -150,7 +145,7 @@ def run(
             item = check.job.item
             unchanged_items.add(item)
             summary.skipped += 1
-            end(item, _earlier(past[item].end))
+            count(item, _earlier(past[item].end))
     remaining, done_last = [], []
     for task in tasks:
         if task.item in past and past[task.item].suspicious:
@@ -158,7 +153,7 @@ def run(
         if task.item in unchanged_items:
             continue
         if task.refusal:
-            end_now(task.item, Outcome("refused", reason=task.refusal))
+            end(task.item, Outcome("refused", reason=task.refusal))
         elif task.item in summary.quarantined:
             done_last.append(task)
         else:
@@ -175,7 +170,7 @@ def run(
         task_seconds=engine.task_seconds,
     )
     for ended in ends:
-        end_now(ended.job.item, _outcome_of(ended))
+        end(ended.job.item, _outcome_of(ended))
     summary.quarantined.sort()
     summary.interrupted = stopping() and summary.done < len(tasks)
     return summary
@@ -215,11 +210,9 @@ def _is_unchanged(check: Ended[Task], unchanged: Callable[[Task], bool]) -> bool
 
 def _earlier(end: dict[str, Any]) -> Outcome:
     """How an item ended in an earlier run, as its line in the journal says."""
-    values = dict(end)
-    for name in ("item", "time", "seconds"):
-        values.pop(name, None)
-    event, key, why = values.pop("event"), values.pop("key"), values.pop("reason", "")
-    return Outcome(event, key, 0.0, str(why), values)
+    common = ("item", "event", "time", "key", "seconds", "reason")
+    values = {name: value for name, value in end.items() if name not in common}
+    return Outcome(end["event"], end["key"], 0.0, str(end.get("reason", "")), values)
 
 
 def _outcome_of(ended: Ended[Task]) -> Outcome:

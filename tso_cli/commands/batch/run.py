@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -88,7 +89,7 @@ class BatchRun:
 
             def on_end(item: str, outcome: Outcome, summary: Summary) -> None:
                 pace = (summary.done - summary.skipped) / max(time.perf_counter() - begun, 1e-9)
-                note = f"items, {pace:.1f}/s, {len(summary.ended)} doubtful or worse"
+                note = f"items, {pace:.1f}/s, {len(summary.not_done)} doubtful or worse"
                 if not chosen.quiet:
                     bar(summary.done, summary.total, note)
 
@@ -127,7 +128,7 @@ def _worst_first(summary: Summary) -> list[tuple[str, Outcome]]:
         confidence = outcome.values.get("confidence")
         return -ENDS.index(outcome.event), 1.0 if confidence is None else confidence, item
 
-    return sorted(summary.ended, key=badness)
+    return sorted(summary.not_done, key=badness)
 
 
 def _print(summary: Summary, journal: Path, seconds: float) -> None:
@@ -147,7 +148,8 @@ def _print(summary: Summary, journal: Path, seconds: float) -> None:
         click.echo(f"  {outcome.event:<9}{item}: {sure}{outcome.reason}")
     if len(worst) > MOST_LISTED:
         click.echo(f"  and {len(worst) - MOST_LISTED:,} more that are not done")
-    for reason, number in summary.reasons.most_common(MOST_LISTED):
+    reasons = Counter(outcome.reason for _, outcome in summary.not_done)
+    for reason, number in reasons.most_common(MOST_LISTED):
         if number > 1:
             click.echo(f"  {number:,} times: {reason}")
     if summary.interrupted:
