@@ -62,11 +62,8 @@ class AutoOrInteger(click.types.IntParamType):
 class LazyGroup(click.Group):
     """Commands that are imported when they are run, so that `tso --help` does not wait for torch.
 
-    Without a command the group prints its help on stderr and exits with 2, with every version of
-    click.
+    Without a command the group prints its help on stderr and exits with 2.
 
-    Parameters
-    ----------
     sections : heading -> name of a command -> (its module, its line of help). The module holds the
         command as ``command``.
     """
@@ -119,8 +116,6 @@ class LazyGroup(click.Group):
 class Command(click.Command):
     """A command whose help shows defaults, and options under headings.
 
-    Parameters
-    ----------
     headings : name of a parameter -> the heading above it and above the parameters after it that
         have none. Parameters of one heading stand together.
     brief : names of the options that --help shows; --help-all shows every option. If empty, both
@@ -251,32 +246,27 @@ def _complete(command: click.Command) -> click.Command:
                 parameter.metavar = parameter.metavar or "N"
             elif isinstance(parameter.type, click.types.FloatParamType):
                 parameter.metavar = parameter.metavar or "X"
-    command.params.append(
-        click.Option(
-            ["--help-all"],
-            is_flag=True,
-            is_eager=True,
-            expose_value=False,
-            callback=_show_all,
-            hidden=not getattr(command, "brief", ()),  # it would show what --help shows
-            help="Show every option and exit.",
-        )
-    )
+
+    def show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+        if value and not ctx.resilient_parsing:
+            ctx.meta[SHOW_ALL] = True
+            click.echo(ctx.get_help())
+            ctx.exit()
+
+    # Where --help shows every option, it is hidden.
+    help_all = click.Option(
+        ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=show_all,
+        hidden=not getattr(command, "brief", ()), help="Show every option and exit.",
+    )  # fmt: skip
+    command.params.append(help_all)
     return command
-
-
-def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
-    if value and not ctx.resilient_parsing:
-        ctx.meta[SHOW_ALL] = True
-        click.echo(ctx.get_help())
-        ctx.exit()
 
 
 def listing(table: Callable[[], Mapping[str, str]]) -> Callable[..., Any]:
     """The callback of an option that takes the word `list`: print ``table()`` and exit with 0.
 
-    The table is name -> what it means. The option has to be eager, so that `tso COMMAND --option
-    list` needs no arguments. ``table`` is called only then: it may import.
+    The table is name -> meaning; it is made only then. The option has to be eager, so that
+    `tso COMMAND --option list` needs no arguments.
     """
 
     def print_if_asked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
@@ -297,10 +287,8 @@ def overwrite() -> Any:
 
 
 def as_json() -> Any:
-    return opt(
-        False, help="Print one JSON document on stdout.", brief=True, role="run",
-        names=("json",),
-    )  # fmt: skip
+    help = "Print one JSON document on stdout."
+    return opt(False, help=help, brief=True, role="run", names=("json",))
 
 
 def quiet(help: str = "Print nothing but errors.") -> Any:
@@ -312,11 +300,8 @@ def seed() -> Any:
 
 
 def device() -> Any:
-    return opt(
-        "cpu",
-        help="cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
-        metavar="DEVICE",
-    )
+    help = "cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental."
+    return opt("cpu", help=help, metavar="DEVICE")
 
 
 def _formats() -> dict[str, str]:
@@ -327,36 +312,23 @@ def _formats() -> dict[str, str]:
 
 
 def camera_format() -> Any:
-    return opt(
-        None,
-        help="Format of the camera file, if the content does not tell; `list` lists all.",
-        metavar="NAME",
-        table=_formats,
-    )
+    help = "Format of the camera file, if the content does not tell; `list` lists all."
+    return opt(None, help=help, metavar="NAME", table=_formats)
 
 
 def object_id() -> Any:
-    return opt(
-        None, help="Object of a BOP scene that has several.", least=0, metavar="ID",
-        names=("object",),
-    )  # fmt: skip
+    help = "Object of a BOP scene that has several."
+    return opt(None, help=help, least=0, metavar="ID", names=("object",))
 
 
 def label() -> Any:
-    return opt(
-        None,
-        help="Label of the object in masks that show several; R,G,B in coloured ones.",
-        metavar="N",
-    )
+    help = "Label of the object in masks that show several; R,G,B in coloured ones."
+    return opt(None, help=help, metavar="N")
 
 
 def mask_index() -> Any:
-    return opt(
-        None,
-        help="Place of the object's mask in an array or list of several masks.",
-        least=0,
-        metavar="N",
-    )
+    help = "Place of the object's mask in an array or list of several masks."
+    return opt(None, help=help, least=0, metavar="N")
 
 
 def pick(kind: type[T], chosen: Mapping[str, Any]) -> T:
