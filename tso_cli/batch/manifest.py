@@ -226,10 +226,7 @@ def _holds_masks(folder: Path) -> bool:
 
 
 def _named(
-    name: Path,
-    ranks: Iterable[tuple[str, ...]],
-    cloud: Path,
-    is_folder: Callable[[Path], bool],
+    name: Path, ranks: Iterable[tuple[str, ...]], cloud: Path, is_folder: Callable[[Path], bool]
 ) -> Path | None:
     """The file of that name, or the folder for the ending "", other than the cloud itself.
 

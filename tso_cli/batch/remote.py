@@ -125,9 +125,7 @@ def local(options: Mapping[str, Any], output: str, cameras: Mapping[str, str]) -
             places[address] = str(local_folder / name)
             with _opened(address) as (system, path):
                 system.get_file(path, places[address])
-        folders = {
-            local_folder.as_posix(): folder for folder, local_folder in local_folders.items()
-        }
+        folders = {path.as_posix(): folder for folder, path in local_folders.items()}
         results, (folder, _, name) = Path(root, "results"), output.rpartition("/")
         results.mkdir()
         if output:

@@ -83,10 +83,7 @@ def photo_in_window(photo: Pixels | None, camera: Camera, box: Box) -> Pixels | 
 
 
 def draw_overlay(
-    path: Path,
-    result: RefineResult,
-    views: Sequence[View],
-    photos: Sequence[Pixels | None] = (),
+    path: Path, result: RefineResult, views: Sequence[View], photos: Sequence[Pixels | None] = ()
 ) -> None:
     """Write a picture of a result to ``path``.
 

@@ -56,13 +56,11 @@ def _key(task: Task) -> tuple[str, dict[str, str]]:
     cameras = {} if item_options.get("camera") else cameras_of(item_options.get("masks", ()))
     remote = [text for text in texts_of(item_options) if is_remote(text) and text != task.item]
     states = [state_of(address) for address in (*remote, *cameras.values())]
+    files = RefineInputs(refine_options).files
     # `Path` leaves an address a single slash.
-    fetched = re.compile(r"[a-z][a-z0-9+.-]+:/")
-    files = [
-        file for file in RefineInputs(refine_options).files if not fetched.match(file.as_posix())
-    ]
+    digests = [digest_of(file) for file in files if not re.match("[a-z][a-z0-9+.-]+:/", str(file))]
     settings = {name: getattr(refine_options, name) for name in item_options}
-    return key_of(settings, [*states, *map(digest_of, files)]), cameras
+    return key_of(settings, [*states, *digests]), cameras
 
 
 def unchanged(task: Task) -> bool:
@@ -94,11 +92,9 @@ def refine_item(task: Task, pictures: Path | None) -> Outcome:
 def _refined(task: Task, pictures: Path | None) -> Outcome:
     key, cameras = _key(task)
     with local(task.options, task.item if is_remote(task.item) else "", cameras) as files:
-        # Files that are not of this batch were refused before; one of its own may be half of a
-        # result.
-        refine_options = options_of(
-            {**files.options, "overwrite": True, "record": True, "quiet": True}
-        )
+        # Files of others were refused before; one of this batch may be half of a result.
+        of_batch = {"overwrite": True, "record": True, "quiet": True}
+        refine_options = options_of({**files.options, **of_batch})
         explicit = {name: getattr(refine_options, name) for name in files.options}
         for name in ("output", *NAMED):
             if (file := getattr(refine_options, name)) is not None:
@@ -108,7 +104,7 @@ def _refined(task: Task, pictures: Path | None) -> Outcome:
             report = RefineRun(refine_options, explicit, warnings.texts, line).work()
             if pictures is not None:
                 _draw(picture_of(pictures, task.item), report)
-        for name in ("record", "report", "write_camera"):
+        for name in ("record", "report", "write_camera") if files.folders else ():
             if name in report.files:
                 files.name_in(report.files[name])
         document = report.document()

@@ -32,11 +32,7 @@ ORDER = {**dict.fromkeys(NAMED, 1), "output": 2, "source": 3, "masks": 4}
 
 
 def options_of_items(
-    items: Iterable[Item],
-    folder: str,
-    output: Path,
-    strict: bool,
-    shard: tuple[int, int] = (1, 1),
+    items: Iterable[Item], folder: str, output: Path, strict: bool, shard: tuple[int, int] = (1, 1)
 ) -> list[tuple[str, ItemOptions]]:
     """The name of each item's result in the folder ``output``, and its options.
 
