@@ -22,7 +22,18 @@ SWITCHES = {"true": True, "1": True, "yes": True, "false": False, "0": False, "n
 
 def read_options(path: Path, expected: str) -> dict[str, Any]:
     """What a TOML or JSON file of options holds; InputError if it is not what is ``expected``."""
-    document = _document(path, read_bytes(path, expected, LARGEST), expected)
+    data = read_bytes(path, expected, LARGEST)
+    try:
+        if path.suffix.lower() != ".toml":
+            document = json.loads(data)
+        else:
+            try:
+                import tomllib
+            except ImportError:  # Python 3.10
+                import tomli as tomllib
+            document = tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds {shown(document)}, expected {expected}")
     return document
@@ -39,6 +50,10 @@ def values_of(kind: type, command: str, path: Path, values: dict[str, Any]) -> d
 
     Paths are text, relative to the folder of the file.
     """
+
+    def placed(text: str) -> str:
+        return text if "://" in text else str(path.parent / text)
+
     table, options = named(kind), {}
     example = "camera or refine-camera" if command == "refine" else "seed or output"
     for key, value in values.items():
@@ -52,12 +67,8 @@ def values_of(kind: type, command: str, path: Path, values: dict[str, Any]) -> d
                 f"{path}: {shown(key)} is no option of {command}, expected names such as {example}"
             )
         with prefixed(f"{path}: {plain(key)} is "):
-            options[entry.name] = value_of(entry, value, lambda text: _placed(text, path.parent))
+            options[entry.name] = value_of(entry, value, placed)
     return options
-
-
-def _placed(text: str, folder: Path) -> str:
-    return text if "://" in text else str(folder / text)
 
 
 def plain_name(name: str) -> str:
@@ -121,16 +132,3 @@ def _is_text(text: str) -> bool:
     """Whether a text can be the name of a file: JSON can hold halves of characters."""
     os.fsencode(text)
     return "\0" not in text
-
-
-def _document(path: Path, data: bytes, expected: str) -> Any:
-    try:
-        if path.suffix.lower() != ".toml":
-            return json.loads(data)
-        try:
-            import tomllib
-        except ImportError:  # Python 3.10
-            import tomli as tomllib
-        return tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None

@@ -420,12 +420,14 @@ class Warnings:
         self.texts: list[str] = []
 
     def __enter__(self) -> Warnings:
-        self._show = warnings.showwarning
-        warnings.showwarning = self._keep
+        self._block = warnings.catch_warnings()
+        self._block.__enter__()
+        warnings.simplefilter("always", UserWarning)  # else a process says it of its first item
+        self._show, warnings.showwarning = warnings.showwarning, self._keep
         return self
 
-    def __exit__(self, *_: object) -> None:
-        warnings.showwarning = self._show
+    def __exit__(self, *error: Any) -> None:
+        self._block.__exit__(*error)
 
     def _keep(self, message: Warning | str, *rest: Any, **more: Any) -> None:
         self.texts.append(str(message))

@@ -96,7 +96,7 @@ NAMED = tuple(name for name in OUTPUTS if name != "record")
 class RefineOutputs:
     """What is written: the result, and the files next to it.
 
-    next_to_it : the files next to the result, by the names of their options.
+    files : all that are written, by the names of their options. next_to_it : without the result.
     """
 
     def __init__(self, options: RefineOptions) -> None:
@@ -108,19 +108,20 @@ class RefineOutputs:
         self.next_to_it: dict[str, Path] = {
             name: files[name] for name in OUTPUTS if files[name] is not None
         }
-
-    @property
-    def files(self) -> dict[str, Path]:
-        """All files that are written, by the names of their options."""
-        return {"output": self.output, **self.next_to_it}
+        self.files = {"output": self.output, **self.next_to_it}
 
     def check(self, inputs: list[Path]) -> None:
         """InputError for an output that cannot be written or would replace another file."""
         check_suffix(self.output, self._suffix)
-        if self.options.point_confidence and self.output.suffix.lower() != ".ply":
-            raise self._of_suffix(".ply to hold --point-confidence")
-        if self.options.crop and self.output.suffix.lower() not in NEW:
-            raise self._of_suffix(f"{' or '.join(NEW)} for --crop")
+        for is_asked, suffixes, why in (
+            (self.options.point_confidence, (".ply",), "to hold --point-confidence"),
+            (self.options.crop, NEW, "for --crop"),
+        ):
+            if is_asked and self.output.suffix.lower() not in suffixes:
+                raise InputError(
+                    f"{self.output}: the suffix is {self.output.suffix!a}, expected "
+                    f"{' or '.join(suffixes)} {why}; write another file: -o {self.output.stem}.ply"
+                )
         check_output(self.output, self.options.overwrite)
         # A result that replaces its own input is checked by --overwrite.
         owners = {self.output.resolve(): "another file of this command"}
@@ -131,12 +132,6 @@ class RefineOutputs:
                 option = "-o" if name == "record" else f"--{name.replace('_', '-')}"
                 raise InputError(f"{file}: is {owner}, expected another name for {option}")
             owners[file.resolve()] = "another file of this command"
-
-    def _of_suffix(self, expected: str) -> InputError:
-        return InputError(
-            f"{self.output}: the suffix is {self.output.suffix!a}, expected {expected}; write "
-            f"another file: -o {self.output.stem}.ply"
-        )
 
     def recorder(self) -> Iterates | None:
         """What keeps the steps for --rerun; fails at once where rerun is not installed."""
