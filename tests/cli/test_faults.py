@@ -36,7 +36,8 @@ from tso_lab.study import Progress
 ROOT = Path(__file__).parents[2]
 NAMES = ("out.ply", "out.png", "out.json")
 OUTPUTS = (
-    "initial.ply", "mask.png", "-o", "out.ply", "--overlay", "out.png", "--write-camera", "out.json",
+    "initial.ply", "mask.png", "-o", "out.ply", "--overlay", "out.png",
+    "--write-camera", "out.json",
 )  # fmt: skip
 
 
