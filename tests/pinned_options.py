@@ -73,7 +73,7 @@ def outcome(words: list[str]) -> str:
     assert command is not None
     try:
         with command.make_context(name, list(arguments), parent=context) as ctx:
-            given = options.given(ctx)
+            given = options.explicit_options(ctx)
             if name == "refine":
                 RefineOptions(**ctx.params)
             texts: dict[str, Any] = {key: str(value) for key, value in given.items()}

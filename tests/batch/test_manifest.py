@@ -56,10 +56,7 @@ def test_a_manifest_may_come_from_stdin(monkeypatch, tmp_path):
     [
         ("", "is empty"),
         ("\ufeff \n\n", "is empty"),
-        (
-            "cloud,mask\nb\u00fc.ply,a.png\n".encode("latin-1"),
-            r"not UTF-8 \(row 2 .* 0xfc",
-        ),
+        ("cloud,mask\nb\u00fc.ply,a.png\n".encode("latin-1"), r"not UTF-8 \(row 2 .* 0xfc"),
         ("cloud,mask\n".encode("utf-16"), "is not UTF-8"),
         ("cloud,mask\n".encode("utf-16-le"), "is not UTF-8"),
         ("cloud|mask\n", r"first row is cloud\|mask, expected .* with commas, semicolons"),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tso_cli.batch.engines import Engine
 from tso_cli.batch.journal import ENDS, entries, open_journal, read_journals
 from tso_cli.batch.run import Outcome, run, tasks_of, waiting_for_items
 from tso_cli.errors import InputError
@@ -26,11 +27,11 @@ def work(task, folder, poison=()):
         raise InputError("no 5")
     with (Path(folder) / task.item).open("a") as stream:
         stream.write("x")
-    return Outcome("done", f"key {task.given['mode']}", 0.01, values={"output": task.item})
+    return Outcome("done", f"key {task.options['mode']}", 0.01, values={"output": task.item})
 
 
 def unchanged(task):
-    return task.key == f"key {task.given['mode']}"
+    return task.key == f"key {task.options['mode']}"
 
 
 @pytest.fixture
@@ -45,9 +46,9 @@ def batch(tmp_path):
             WorkerPool(2) as pool,
         ):
             past = read_journals([path])
-            tasks = tasks_of(items, past, lambda item, given: "")
-            doing = partial(work, folder=tmp_path, poison=poison)
-            return run(tasks, past, doing, checking, pool, 4, journal, on_end, interrupted)
+            tasks = tasks_of(items, past, lambda item, options: "")
+            doing, used = partial(work, folder=tmp_path, poison=poison), Engine(pool, 4)
+            return run(tasks, past, doing, checking, used, journal, on_end, interrupted)
 
     return go
 
@@ -85,7 +86,7 @@ def test_an_item_is_not_done_again_because_its_check_was_killed(batch, tmp_path)
 
 def test_an_item_whose_settings_changed_is_done_again(batch, tmp_path):
     batch()
-    changed = [(name, {"mode": "other"} if name == "3" else given) for name, given in ITEMS]
+    changed = [(name, {"mode": "other"} if name == "3" else options) for name, options in ITEMS]
     assert batch(changed).skipped == 10
     assert (tmp_path / "3").read_text() == "xx"
 
@@ -93,7 +94,7 @@ def test_an_item_whose_settings_changed_is_done_again(batch, tmp_path):
 def test_an_item_that_kills_its_process_is_named_and_loses_no_other(batch, tmp_path):
     summary = batch(poison=("7",))
     assert summary.counts == {"done": 10, "refused": 1, "failed": 1}
-    ((name, outcome),) = [one for one in summary.ended if one[1].event == "failed"]
+    ((name, outcome),) = [one for one in summary.not_done if one[1].event == "failed"]
     assert name == "7"
     assert outcome.reason == (
         "its process was killed by SIGKILL, perhaps for lack of memory, 3 times"
@@ -122,7 +123,7 @@ def test_what_a_process_wrote_before_it_died_is_of_this_batch(tmp_path):
         journal.add("1", "refused", reason="exists already")
     past = read_journals([tmp_path / "journal.jsonl"])
     asked = []
-    tasks_of(ITEMS[:3], past, lambda item, given: asked.append(item) or "")
+    tasks_of(ITEMS[:3], past, lambda item, _: asked.append(item) or "")
     assert asked == ["1", "2"]
 
 

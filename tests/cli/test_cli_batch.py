@@ -235,11 +235,7 @@ def test_shards_together_do_every_item_once(items, tso):
         ("cloud,mask,output", ["a.ply,m.png,a.txt"], "row 2: output: .*'.txt', expected .ply"),
         ("cloud,mask,output", ["a.ply,m.png,a.glb"], "row 2: output: .*'.glb', expected .ply"),
         ("cloud,mask,assume", ["a.ply,m.png,mask-inverter"], "row 2: --assume is 'mask-inverter'"),
-        (
-            "cloud,mask,gamma",
-            ["a.ply,m.png,-1"],
-            "row 2: gamma is '-1', expected a number from 0",
-        ),
+        ("cloud,mask,gamma", ["a.ply,m.png,-1"], "row 2: gamma is '-1', expected a number from 0"),
         ("cloud,mask,depth", ["a.ply,,d.png"], "row 2: no MASK was given"),
         ("cloud,mask,mode,refine-camera", ["a.png,m.png,encoder,1"], "row 2: --refine-camera is"),
         ("cloud,mask", ["a.ply,m.png;./m.png"], "row 2: mask is .*, expected each mask once"),

@@ -12,7 +12,7 @@ from tso_cli.commands.refine.sentences import (
     LOOK,
     OPTIONS_OF_NOTES,
     Words,
-    shown,
+    two_places,
     why_unmoved,
 )
 from tso_cli.diagnosis.assumptions import INVERTED, Assumption
@@ -43,7 +43,7 @@ def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
     assert ONE.suspicion([Finding(name, (0,), 0.7)]) == sentence
     assert TWO.suspicion([Finding(name, (0, 1), 0.7)]) == sentence
     suspect = {"what": says, "option": f"--assume {name}", "score": 0.7}
-    assert ONE.what_and_option(Finding(name, (0,), 0.7)) == suspect
+    assert ONE.suspects([Finding(name, (0,), 0.7)]) == [suspect]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
     ],
 )
 def test_what_may_be_wrong_and_what_mends_it(words, finding, what, option):
-    assert words.what_and_option(finding) == {"what": what, "option": option, "score": 0.0}
+    assert words.suspects([finding]) == [{"what": what, "option": option, "score": 0.0}]
     assert words.suspicion([finding]) == f"it looks as if {what}: try {option}"
 
 
@@ -116,7 +116,7 @@ def test_what_may_be_wrong_and_what_mends_it(words, finding, what, option):
 def test_each_way_to_read_a_symptom_has_its_option(words, name, values, option):
     of_all = {"percent": 5.0, "how": "long", "otherwise": "smaller", "other": "near", "share": 9.0}
     finding = Finding(name, tuple(range(len(words.names))), values={**of_all, **values})
-    assert words.what_and_option(finding)["option"].startswith(option)
+    assert words.suspects([finding])[0]["option"].startswith(option)
 
 
 def test_alternatives_are_one_sentence():
@@ -148,19 +148,20 @@ def test_wrong_pairs_are_named_by_their_masks():
 
 
 def test_where_all_views_are_paired_wrongly_the_cloud_may_be_turned():
-    what = TWO.what_and_option(EXCHANGED)["what"]
+    what = TWO.suspects([EXCHANGED])[0]["what"]
     assert what == "masks and cameras are paired wrongly, or the cloud is turned"
 
 
 def test_three_pairs_are_named_and_the_rest_is_counted():
     pairs = tuple((camera + 1, camera) for camera in range(5))
-    option = SIX.what_and_option(Finding("mispaired", (0, 1, 2, 3, 4), pairs=pairs))["option"]
+    (suspect,) = SIX.suspects([Finding("mispaired", (0, 1, 2, 3, 4), pairs=pairs)])
+    option = suspect["option"]
     assert option.count("with the camera that") == 3
     assert option.endswith(", and so on, 5 in all")
 
 
 def test_views_of_one_name_are_numbered():
-    option = Words(["mask", "mask"]).what_and_option(EXCHANGED)["option"]
+    option = Words(["mask", "mask"]).suspects([EXCHANGED])[0]["option"]
     assert option == (
         "view 2 with the camera that view 1 has now, view 1 with the camera that view 2 has now"
     )
@@ -347,7 +348,7 @@ def test_an_unsure_camera_is_said_once(moved):
     ("confidence", "text"), [(0.7999, "0.79"), (0.8, "0.80"), (0.999, "0.99"), (1.0, "1.00")]
 )
 def test_a_confidence_is_rounded_down_so_that_a_printed_limit_is_not_doubtful(confidence, text):
-    assert shown(confidence) == text
+    assert two_places(confidence) == text
 
 
 def test_every_reason_of_the_model_has_words(moved):

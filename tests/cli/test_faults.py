@@ -36,15 +36,9 @@ from tso_lab.study import Progress
 ROOT = Path(__file__).parents[2]
 NAMES = ("out.ply", "out.png", "out.json")
 OUTPUTS = (
-    "initial.ply",
-    "mask.png",
-    "-o",
-    "out.ply",
-    "--overlay",
-    "out.png",
-    "--write-camera",
-    "out.json",
-)
+    "initial.ply", "mask.png", "-o", "out.ply", "--overlay", "out.png",
+    "--write-camera", "out.json",
+)  # fmt: skip
 
 
 def started(*words, program="from tso_cli.cli import main; main()", **options):
@@ -279,12 +273,7 @@ def test_a_record_that_cannot_be_gone_on_from_is_named(tso, tmp_path):
     path = tmp_path / "record.json"
     path.write_text(
         json.dumps(
-            {
-                "study": "harm",
-                "settings": {"quick": False},
-                "cases": [],
-                "fingerprint": {"x": {}},
-            }
+            {"study": "harm", "settings": {"quick": False}, "cases": [], "fingerprint": {"x": {}}}
         )
     )
     words = ("lab", "harm", "--quick", "--resume", "-o", path)

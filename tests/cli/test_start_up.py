@@ -12,16 +12,7 @@ from tso_cli.io.shipped import examples_folder
 from tso_cli.refinement import PRESETS
 
 # Each takes 0.1 s or more to import with what it imports itself; a whole command takes about 1 s.
-HEAVY = (
-    "torch",
-    "scipy",
-    "matplotlib",
-    "skimage",
-    "trimesh",
-    "open3d",
-    "sympy",
-    "numpy.f2py",
-)
+HEAVY = ("torch", "scipy", "matplotlib", "skimage", "trimesh", "open3d", "sympy", "numpy.f2py")
 CHAIR = examples_folder() / "chair"
 
 

@@ -21,8 +21,7 @@ from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.clouds import read_cloud
 from tso_cli.io.paint import Paint, Texture
 from tso_cli.io.views import ViewFiles
-from tso_cli.plots.page.packing import packed
-from tso_cli.plots.page.pictures import outline
+from tso_cli.plots.page.pictures import outline, packed
 from tso_cli.plots.page.solid import (
     MOST_FACES,
     MOST_POINTS,

@@ -13,7 +13,6 @@ from ..errors import TsoError, needed_by
 from ..io.output import reason
 from ..workers import WorkerPool
 
-ENGINES = ("processes", "dask")
 # Items read ahead for each process.
 AHEAD = 2
 # A task that travels to a scheduler should take about so long.
@@ -27,7 +26,6 @@ class Engine:
     """``window`` : tasks that are with the executor at once. ``task_seconds`` : as in `each`."""
 
     executor: Executor
-    workers: int
     window: int
     task_seconds: float = 0.0
 
@@ -36,12 +34,12 @@ class Engine:
 def engine(name: str, processes: int, scheduler: str | None) -> Iterator[Engine]:
     """The engine ``name`` while it is used."""
     if name == "dask":
-        with _dask(processes, scheduler) as found:
-            yield found
+        with _dask(processes, scheduler) as cluster:
+            yield cluster
         return
     pool = WorkerPool(processes)
     try:
-        yield Engine(pool, processes, AHEAD * processes)
+        yield Engine(pool, AHEAD * processes)
     finally:
         pool.shutdown(wait=False)
 
@@ -61,10 +59,14 @@ def _dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
         "distributed.worker.profile.enabled": False,
     }
     with dask.config.set(settings):
-        local: dict[str, Any] = dict(
-            threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
-        )
-        cluster = None if scheduler else LocalCluster(n_workers=processes, **local)
+        cluster: Any = None
+        if not scheduler:
+            cluster = LocalCluster(
+                n_workers=processes,
+                threads_per_worker=1,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            )
         try:
             client = Client(scheduler or cluster)
             client.wait_for_workers(1, timeout=PATIENCE)
@@ -72,10 +74,9 @@ def _dask(processes: int, scheduler: str | None) -> Iterator[Engine]:
             where = f"no worker of {scheduler}" if scheduler else "no worker"
             raise TsoError(f"{where} can be reached ({reason(error)})") from None
         try:
-            workers = sum(client.ncores().values())
             # No result is taken for that of another task with the same arguments.
             executor = client.get_executor(pure=False, retries=0)
-            yield Engine(executor, workers, AHEAD * workers, TASK_SECONDS)
+            yield Engine(executor, AHEAD * sum(client.ncores().values()), TASK_SECONDS)
         finally:
             client.close()
             if cluster is not None:

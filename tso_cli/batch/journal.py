@@ -60,7 +60,8 @@ def journals_of(output: Path, shard: tuple[int, int] | None) -> tuple[Path, list
 
     part = f"{shard[0]}-of-{shard[1]}." if shard else ""
     own = output / f"{part}{NAME}"
-    return own, [one for one in sorted(output.glob(f"*{NAME}")) if parts_of(one) != parts_of(own)]
+    journals = sorted(output.glob(f"*{NAME}"))
+    return own, [journal for journal in journals if parts_of(journal) != parts_of(own)]
 
 
 def read_journals(paths: Sequence[Path]) -> dict[str, Past]:
@@ -71,13 +72,13 @@ def read_journals(paths: Sequence[Path]) -> dict[str, Past]:
     """
     past: dict[str, Past] = {}
     for _, entry in heapq.merge(*map(_timed, paths), key=itemgetter(0)):
-        one = past.setdefault(entry["item"], Past())
+        item = past.setdefault(entry["item"], Past())
         if entry["event"] == STARTED:
-            one.starts, one.begun = one.starts + 1, True
+            item.starts, item.begun = item.starts + 1, True
         elif entry["event"] == RETURNED:
-            one.starts -= 1
+            item.starts -= 1
         else:
-            one.starts, one.end = 0, entry
+            item.starts, item.end = 0, entry
     return past
 
 
@@ -102,15 +103,13 @@ def entries(path: Path) -> Iterator[dict[str, Any]]:
         for line in lines:
             try:
                 entry = json.loads(line)
-            except ValueError:
+                if entry["event"] not in (STARTED, RETURNED, *ENDS):
+                    raise ValueError
+                entry["item"], entry["time"] = str(entry["item"]), float(entry["time"])
+            except (ValueError, TypeError, KeyError, OverflowError):
                 damaged += not line.startswith(BEGINNING)  # others were cut off
-                continue
-            known = isinstance(entry, dict) and entry.get("event") in (STARTED, RETURNED, *ENDS)
-            of_item = known and isinstance(entry.get("item"), str)
-            if of_item and isinstance(entry.get("time"), (int, float)):
-                yield entry
             else:
-                damaged += 1
+                yield entry
     if damaged:
         warnings.warn(f"{path}: {damaged:,} lines are damaged, and say nothing", stacklevel=2)
 

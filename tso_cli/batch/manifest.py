@@ -5,11 +5,11 @@ An item is what one run of `tso refine` is given: the name of an option -> its v
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import json
 import os
-import re
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Iterator
@@ -48,8 +48,6 @@ BY_NAME = (
     "expected NAME.png or NAME.mask.png next to NAME.ply, or the folders clouds, masks and "
     "cameras; or give a manifest (CSV with the columns cloud and mask)"
 )
-# The mark of UTF-8 that some programs write, then blanks, then what the manifest begins with.
-_BEGIN = re.compile(rb"(?:\xef\xbb\xbf)?\s*(.?)", re.DOTALL)
 
 
 class Item(NamedTuple):
@@ -68,12 +66,12 @@ def read_manifest(manifest: Path | str) -> Iterator[Item]:
     if isinstance(manifest, Path) and manifest.is_dir():
         yield from _of_folder(manifest)
         return
-    data, name = _read(manifest)
-    begin = _BEGIN.match(data)
-    if not begin or not begin[1]:
+    text, name = _read(manifest)
+    if not (beginning := text.lstrip()[:1]):
         raise InputError(f"{name}: is empty, expected {EXPECTED}")
-    item = None
-    for item in (_of_lines if begin[1] in b"{[" else _of_csv)(_lines(data, name), name):
+    # Lines end at \n alone: a cell may hold U+2028 and the like.
+    lines, item = io.StringIO(text, newline="\n"), None
+    for item in (_of_lines if beginning in "{[" else _of_csv)(lines, name):
         if CLOUD not in item.values:
             raise InputError(f"{item.place} has no {CLOUD}, expected the file of a cloud or mesh")
         yield item
@@ -83,33 +81,29 @@ def read_manifest(manifest: Path | str) -> Iterator[Item]:
 
 def folder_of(manifest: Path | str) -> str:
     """What paths in a manifest are relative to; those of a folder's items are whole."""
-    whole = isinstance(manifest, Path) and manifest.is_dir()
-    return "" if whole else os.path.dirname(str(manifest))
+    is_folder = isinstance(manifest, Path) and manifest.is_dir()
+    return "" if is_folder else os.path.dirname(str(manifest))
 
 
-def _read(manifest: Path | str) -> tuple[bytes, str]:
-    """The bytes of a manifest, and what messages call it."""
+def _read(manifest: Path | str) -> tuple[str, str]:
+    """The text of a manifest, and what messages call it."""
+    name = "stdin" if manifest == STDIN else str(manifest)
     if isinstance(manifest, str):
-        return read_remote(manifest), manifest
-    if manifest == STDIN:
-        return sys.stdin.buffer.read(), "stdin"
-    return read_bytes(manifest, EXPECTED), str(manifest)
-
-
-def _lines(data: bytes, name: str) -> Iterator[str]:
-    r"""The lines of a text. They end at \n alone: text may hold U+2028 and the like."""
-    for number, line in enumerate(io.BytesIO(data), 1):
-        try:
-            text = line.decode("utf-8-sig" if number == 1 else "utf-8")
-            wrong = 0 if "\0" in text else None  # UTF-16 without a mark of its own
-        except UnicodeDecodeError as error:
-            wrong = line[error.start]
-        if wrong is not None:
-            raise InputError(
-                f"{name}: is not UTF-8 (row {number} has the byte 0x{wrong:02x}), expected "
-                f"{EXPECTED}, in UTF-8"
-            )
-        yield text
+        data = read_remote(manifest)
+    else:
+        data = sys.stdin.buffer.read() if manifest == STDIN else read_bytes(manifest, EXPECTED)
+    data = data.removeprefix(codecs.BOM_UTF8)
+    try:
+        text, place = data.decode(), data.find(b"\0")  # of UTF-16 without a mark of its own
+    except UnicodeDecodeError as error:
+        text, place = "", error.start
+    if place >= 0:
+        row = data.count(b"\n", 0, place) + 1
+        raise InputError(
+            f"{name}: is not UTF-8 (row {row} has the byte 0x{data[place]:02x}), expected "
+            f"{EXPECTED}, in UTF-8"
+        )
+    return text, name
 
 
 @lru_cache
@@ -191,7 +185,7 @@ def _of_folder(folder: Path) -> Iterator[Item]:
     places = [folder / part if (folder / part).is_dir() else folder for part in PARTS]
     clouds, masks, cameras = places
     # There, a folder NAME holds the masks.
-    of_cameras = [(ending,) for ending in (CAMERAS if cameras == folder else ("", *CAMERAS))]
+    camera_ranks = [(ending,) for ending in (CAMERAS if cameras == folder else ("", *CAMERAS))]
     items: dict[str, Path] = {}
     without = []
     for path in sorted(clouds.rglob("*")):
@@ -212,7 +206,7 @@ def _of_folder(folder: Path) -> Iterator[Item]:
             )
         items[name] = relative
         values = {CLOUD: str(path), MASK: str(mask)}
-        if camera := _named(cameras / name, of_cameras, path, Path.is_dir):
+        if camera := _named(cameras / name, camera_ranks, path, Path.is_dir):
             values["camera"] = str(camera)
         values[OUTPUT] = f"{name}{RESULT}{output_suffix(path)}"
         yield Item(f"{folder}: {relative}", values)
@@ -232,29 +226,26 @@ def _holds_masks(folder: Path) -> bool:
 
 
 def _named(
-    name: Path,
-    ranks: Iterable[tuple[str, ...]],
-    cloud: Path,
-    is_folder: Callable[[Path], bool],
+    name: Path, ranks: Iterable[tuple[str, ...]], cloud: Path, is_folder: Callable[[Path], bool]
 ) -> Path | None:
     """The file of that name, or the folder for the ending "", other than the cloud itself.
 
     It is of the first of the ``ranks`` of endings that has one. Raises InputError if that has two.
     """
     for endings in ranks:
-        paths = [Path(f"{name}{ending}") for ending in endings]
-        found = [
+        candidates = {Path(f"{name}{ending}"): ending for ending in endings}
+        files = [
             path
-            for ending, path in zip(endings, paths, strict=True)
+            for path, ending in candidates.items()
             if path != cloud and (path.is_file() if ending else is_folder(path))
         ]
-        if len(found) > 1:
+        if len(files) > 1:
             raise InputError(
-                f"{cloud}: its mask may be {found[0]} or {found[1]}, expected one of the two; or "
+                f"{cloud}: its mask may be {files[0]} or {files[1]}, expected one of the two; or "
                 f"name it NAME{MASKS[0][1]}"
             )
-        if found:
-            return found[0]
+        if files:
+            return files[0]
     return None
 
 

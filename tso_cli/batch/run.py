@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,6 +13,7 @@ from ..errors import InputError, TsoError
 from ..io.output import reason
 from ..signals import at_interrupt, press_ctrl_c
 from ..workers import Ended, each, is_death
+from .engines import Engine
 from .journal import RETURNED, STARTED, Journal, Past
 
 # Results of earlier runs are checked in tasks of about so long.
@@ -21,7 +21,7 @@ CHECKING_SECONDS = 1.0
 # After Ctrl-C or SIGTERM the items at work have this many seconds. SLURM waits for 30.
 PATIENCE = 20.0
 
-Given = Mapping[str, Any]
+ItemOptions = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Task:
     """An item for a process.
 
     item : its name, which is that of its output in the batch's folder.
-    given : its options of `tso refine`, with paths as text. key : of the result that is there.
-    written : whether its last end wrote a result. refusal : why it is not even begun.
+    options : its options of `tso refine`, with paths as text. key : of the result that is there.
+    has_result : whether its last end wrote one. refusal : why it is not even begun.
     """
 
     item: str
-    given: Given
+    options: ItemOptions
     key: str | None = None
-    written: bool = True
+    has_result: bool = True
     refusal: str = ""
 
 
@@ -55,25 +55,20 @@ class Outcome:
 class Summary:
     """What became of the items, in this run or before it.
 
-    skipped : how many ended in earlier runs. seconds : of the items of this run. ended : the items
-    that are doubtful or worse.
+    skipped : how many ended in earlier runs. not_done : the items that are doubtful or worse.
     """
 
     total: int
     counts: Counter[str] = field(default_factory=Counter)
     skipped: int = 0
-    seconds: float = 0.0
-    reasons: Counter[str] = field(default_factory=Counter)
-    ended: list[tuple[str, Outcome]] = field(default_factory=list)
+    not_done: list[tuple[str, Outcome]] = field(default_factory=list)
     quarantined: list[str] = field(default_factory=list)
     interrupted: bool = False
 
     def add(self, item: str, outcome: Outcome) -> None:
         self.counts[outcome.event] += 1
-        self.seconds += outcome.seconds
         if outcome.event != "done":
-            self.reasons[outcome.reason] += 1
-            self.ended.append((item, outcome))
+            self.not_done.append((item, outcome))
 
     @property
     def done(self) -> int:
@@ -84,9 +79,9 @@ OnEnd = Callable[[str, Outcome, Summary], None]
 
 
 def tasks_of(
-    items: Sequence[tuple[str, Given]],
+    items: Sequence[tuple[str, ItemOptions]],
     past: dict[str, Past],
-    refusal: Callable[[str, Given], str],
+    refusal: Callable[[str, ItemOptions], str],
     strict: bool = False,
 ) -> list[Task]:
     """The tasks of items (name, options).
@@ -95,13 +90,14 @@ def tasks_of(
     doubtful results are to be left unwritten.
     """
     tasks = []
-    for item, given in items:
-        one = past.get(item, Past())
-        written = bool(one.end.get("output"))
-        changed = one.end.get("event") == "doubtful" and written == strict
+    for item, options in items:
+        earlier = past.get(item, Past())
+        has_result = bool(earlier.end.get("output"))
+        by_other_rule = earlier.end.get("event") == "doubtful" and has_result == strict
+        key = None if by_other_rule else earlier.key
         # A process that died may have written its result before.
-        why = "" if one.begun else refusal(item, given)
-        tasks.append(Task(item, given, None if changed else one.key, written, why))
+        why = "" if earlier.begun else refusal(item, options)
+        tasks.append(Task(item, options, key, has_result, why))
     return tasks
 
 
@@ -110,12 +106,10 @@ def run(
     past: dict[str, Past],
     work: Callable[[Task], Outcome],
     unchanged: Callable[[Task], bool],
-    executor: Executor,
-    window: int,
+    engine: Engine,
     journal: Journal,
     on_end: OnEnd,
     interrupted: threading.Event,
-    task_seconds: float = 0.0,
 ) -> Summary:
     """Do all tasks, and write down what becomes of each.
 
@@ -124,40 +118,60 @@ def run(
     Once ``interrupted`` is set (`waiting_for_items`), the items at work end and no other begins.
     """
     summary = Summary(len(tasks))
-    suspicious = {task.item for task in tasks if past.get(task.item, Past()).suspicious}
-    summary.quarantined = sorted(suspicious)
     stopping = interrupted.is_set
-    ended_before = [task for task in tasks if task.key]
-    settings: dict[str, Any] = dict(stopping=stopping, task_seconds=CHECKING_SECONDS)
-    left_out = set()
-    for checked in each(executor, unchanged, ended_before, window, **settings):
-        if _is_unchanged(checked, unchanged):
-            item = checked.job.item
-            left_out.add(item)
-            outcome = _earlier(past[item].end)
+
+    def count(item: str, outcome: Outcome) -> None:
+        summary.add(item, outcome)
+        on_end(item, outcome, summary)
+
+    def end(item: str, outcome: Outcome) -> None:
+        line = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
+        if outcome.reason:
+            line["reason"] = outcome.reason
+        journal.add(item, outcome.event, **line)
+        count(item, outcome)
+
+    unchanged_items = set()
+    checks = each(
+        engine.executor,
+        unchanged,
+        [task for task in tasks if task.key],
+        engine.window,
+        stopping=stopping,
+        task_seconds=CHECKING_SECONDS,
+    )
+    for check in checks:
+        if _is_unchanged(check, unchanged):
+            item = check.job.item
+            unchanged_items.add(item)
             summary.skipped += 1
-            summary.add(item, outcome)
-            on_end(item, outcome, summary)
-    left = [task for task in tasks if task.item not in left_out]
-    for task in left:
+            count(item, _earlier(past[item].end))
+    remaining, done_last = [], []
+    for task in tasks:
+        if task.item in past and past[task.item].suspicious:
+            summary.quarantined.append(task.item)
+        if task.item in unchanged_items:
+            continue
         if task.refusal:
-            _end(task.item, Outcome("refused", reason=task.refusal), journal, summary, on_end)
-    left = [task for task in left if not task.refusal]
-    first = (task for task in left if task.item not in suspicious)
-    last = [task for task in left if task.item in suspicious]
-    ended = each(
-        executor,
+            end(task.item, Outcome("refused", reason=task.refusal))
+        elif task.item in summary.quarantined:
+            done_last.append(task)
+        else:
+            remaining.append(task)
+    ends = each(
+        engine.executor,
         work,
-        first,
-        window,
-        last=last,
+        remaining,
+        engine.window,
+        last=done_last,
         on_start=lambda task, deaths: journal.add(task.item, STARTED),
         on_return=lambda task: journal.add(task.item, RETURNED),
         stopping=stopping,
-        task_seconds=task_seconds,
+        task_seconds=engine.task_seconds,
     )
-    for one in ended:
-        _end(one.job.item, _outcome_of(one), journal, summary, on_end)
+    for ended in ends:
+        end(ended.job.item, _outcome_of(ended))
+    summary.quarantined.sort()
     summary.interrupted = stopping() and summary.done < len(tasks)
     return summary
 
@@ -184,32 +198,20 @@ def waiting_for_items() -> Iterator[threading.Event]:
         again.cancel()
 
 
-def _is_unchanged(checked: Ended[Task], unchanged: Callable[[Task], bool]) -> bool:
-    """What a check found.
-
-    One whose process was killed says nothing of its item, and is made here.
-    """
-    if not is_death(checked.error):
-        return bool(checked.result)
+def _is_unchanged(check: Ended[Task], unchanged: Callable[[Task], bool]) -> bool:
+    """What a check says; one whose process was killed says nothing, and is made here."""
+    if not is_death(check.error):
+        return bool(check.result)
     try:
-        return unchanged(checked.job)
+        return unchanged(check.job)
     except Exception:  # the item itself will say what is wrong
         return False
 
 
-def _end(item: str, outcome: Outcome, journal: Journal, summary: Summary, on_end: OnEnd) -> None:
-    line = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
-    if outcome.reason:
-        line["reason"] = outcome.reason
-    journal.add(item, outcome.event, **line)
-    summary.add(item, outcome)
-    on_end(item, outcome, summary)
-
-
 def _earlier(end: dict[str, Any]) -> Outcome:
     """How an item ended in an earlier run, as its line in the journal says."""
-    known = ("item", "event", "time", "key", "seconds", "reason")
-    values = {name: value for name, value in end.items() if name not in known}
+    common = ("item", "event", "time", "key", "seconds", "reason")
+    values = {name: value for name, value in end.items() if name not in common}
     return Outcome(end["event"], end["key"], 0.0, str(end.get("reason", "")), values)
 
 

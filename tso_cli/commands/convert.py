@@ -78,25 +78,16 @@ def command(ctx: click.Context, chosen: ConvertOptions) -> None:
     Cameras are converted if B is a .json file, or with --to. Otherwise the suffix of B
     says how the cloud or mesh is written: .ply, .npy, .xyz, or a mesh as .glb, .obj, .off or .stl.
     """
-    source, target, intrinsics = chosen.source, chosen.target, chosen.intrinsics
-    if chosen.to is not None or target.suffix.lower() == ".json":
-        from ..io.cameras import read_partial_cameras
-
-        read = read_partial_cameras(source, chosen.camera_format, chosen.object_id)
-        if intrinsics is not None:
-            from ..io.views import with_intrinsics
-
-            known, _ = read_partial_cameras(intrinsics)
-            masks = [view.mask or view.image or Path(view.label) for view in read[0]]
-            posed = zip(read[0], masks, strict=True)
-            read = [with_intrinsics(one, known, intrinsics, mask) for one, mask in posed], read[1]
-        _convert_cameras(source, read, target, chosen.to or "tso", chosen.size, chosen.overwrite)
+    if chosen.to is not None or chosen.target.suffix.lower() == ".json":
+        _convert_cameras(chosen)
         return
     for name in ("camera_format", "size", "object_id", "intrinsics"):
         if getattr(chosen, name) is not None:
             flag = declared(ConvertOptions)[name].flag
-            raise InputError(f"{flag} is for cameras, found {target} as a cloud or mesh to write")
-    _convert_cloud(source, target, chosen.overwrite)
+            raise InputError(
+                f"{flag} is for cameras, found {chosen.target} as a cloud or mesh to write"
+            )
+    _convert_cloud(chosen.source, chosen.target, chosen.overwrite)
 
 
 def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
@@ -129,38 +120,42 @@ def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
     click.echo(f"{target}: {len(cloud.points):,} points{surface}")
 
 
-def _convert_cameras(
-    source: Path,
-    read: tuple[list[PartialCamera], str],
-    target: Path,
-    to: str,
-    size: tuple[int, int] | None,
-    overwrite: bool,
-) -> None:
-    from ..io.cameras import CameraRecord, camera_text, words_of
+def _convert_cameras(chosen: ConvertOptions) -> None:
+    from ..io.cameras import CameraRecord, camera_text, read_partial_cameras, words_of
     from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
+    from ..io.views import with_intrinsics
 
-    views, found = read
-    cameras = [_complete(view, source, size) for view in views]
-    folder = target if to == "colmap" else target.parent
-    names = [_picture(view, number, folder) for number, view in enumerate(views)]
-    lenses = [view.distortion for view in views]
-    named = list(zip(names, cameras, lenses, strict=True))
-    if to == "colmap":
+    source, target, overwrite = chosen.source, chosen.target, chosen.overwrite
+    views, source_format = read_partial_cameras(source, chosen.camera_format, chosen.object_id)
+    if chosen.intrinsics is not None:
+        lenses, _ = read_partial_cameras(chosen.intrinsics)
+        views = [
+            with_intrinsics(
+                view, lenses, chosen.intrinsics, view.mask or view.image or Path(view.label)
+            )
+            for view in views
+        ]
+    cameras = [_complete(view, source, chosen.size) for view in views]
+    if chosen.to != "colmap":
+        options.require_output(target, ".json", overwrite)
+    folder = target if chosen.to == "colmap" else target.parent
+    rows = [
+        (_picture(view, number, folder), camera, view.distortion)
+        for number, (view, camera) in enumerate(zip(views, cameras, strict=True))
+    ]
+    if chosen.to == "colmap":
         folder = folder_of(target, overwrite)
         with prefixed(f"{source}: "):
-            texts = colmap_texts(named)
+            texts = colmap_texts(rows)
         folder.mkdir(exist_ok=True)
         for name, text in texts.items():
             write_file(folder / name, text.encode(errors="surrogateescape"), overwrite=True)
-    elif to == "transforms":
-        options.require_output(target, ".json", overwrite)
+    elif chosen.to == "transforms":
         with prefixed(f"{source}: "):
-            text = transforms_text(named)
+            text = transforms_text(rows)
         write_file(target, text.encode(), overwrite)
     else:
-        options.require_output(target, ".json", overwrite)
-        if any(lens and not lens.none for lens in lenses):
+        if any(view.distortion and not view.distortion.none for view in views):
             raise InputError(
                 f"{source}: has lens distortion, which tso's own format has no place for; use "
                 f"{source} itself, or --to colmap"
@@ -171,7 +166,7 @@ def _convert_cameras(
         ]
         write_file(target, camera_text(target, records).encode(), overwrite)
     count = f"{len(views)} camera{'s' if len(views) > 1 else ''}"
-    click.echo(f"{target}: {count} of {source} ({words_of(found)})")
+    click.echo(f"{target}: {count} of {source} ({words_of(source_format)})")
 
 
 def _picture(view: PartialCamera, number: int, folder: Path) -> str:
@@ -197,15 +192,12 @@ def _complete(view: PartialCamera, source: Path, size: tuple[int, int] | None) -
             f"{where}: is for a picture of {view.size[0]}x{view.size[1]}, found --size "
             f"{size[0]}x{size[1]}, expected the same proportions; leave --size out"
         )
-    for known, lacking in (
-        (view.intrinsics, "a pose but no focal length"),
-        (view.R, "K but no pose"),
-    ):
-        if known is None:
-            raise InputError(
-                f"{where}: has {lacking}, expected both, in one file, or poses and --intrinsics "
-                "FILE with K"
-            )
+    if view.intrinsics is None or view.R is None:
+        fault = "a pose but no focal length" if view.intrinsics is None else "K but no pose"
+        raise InputError(
+            f"{where}: has {fault}, expected both, in one file, or poses and --intrinsics "
+            "FILE with K"
+        )
     sides = size or view.size
     if sides is None:
         view_of = f"{view.title} " if view.title else ""

@@ -51,12 +51,12 @@ def _run(name: str, *words: str | Path) -> None:
     root = click.get_current_context().find_root()
     group, arguments = root.command, [str(word) for word in words]
     assert isinstance(group, click.Group)
-    found = group.get_command(root, name)
-    assert found is not None
+    subcommand = group.get_command(root, name)
+    assert subcommand is not None
     click.echo(f"$ {shlex.join(['tso', name, *arguments])}")
     try:
-        with found.make_context(name, arguments, parent=root) as context:
-            found.invoke(context)
+        with subcommand.make_context(name, arguments, parent=root) as context:
+            subcommand.invoke(context)
     except click.exceptions.Exit as end:
         if end.exit_code:
             raise

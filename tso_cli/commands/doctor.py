@@ -6,6 +6,7 @@ import importlib
 import os
 import platform
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -19,17 +20,11 @@ from ..option import opt
 from ..version import __version__
 from . import options
 
-# Modules of a plain installation -> the packages that they are in.
+# Modules of a plain report -> the packages that they are in.
 NEEDED = {
-    "numpy": "numpy",
-    "scipy": "scipy",
-    "PIL": "pillow",
-    "skimage": "scikit-image",
-    "trimesh": "trimesh",
-    "yaml": "pyyaml",
-    "threadpoolctl": "threadpoolctl",
-    "click": "click",
-}
+    "numpy": "numpy", "scipy": "scipy", "PIL": "pillow", "skimage": "scikit-image",
+    "trimesh": "trimesh", "yaml": "pyyaml", "threadpoolctl": "threadpoolctl", "click": "click",
+}  # fmt: skip
 # Modules whose packages have other names; open3d has two.
 PACKAGES = {"open3d": ("open3d-cpu", "open3d"), "rerun": ("rerun-sdk",)}
 SLOW = ("torch", "open3d")
@@ -53,13 +48,13 @@ def command(ctx: click.Context, chosen: DoctorOptions) -> None:
 
     The exit code is 0 if points mode works, and 1 if not.
     """
-    found = examined(chosen.imports)
+    report = examined(chosen.imports)
     if chosen.as_json:
-        options.echo_json(found)
+        options.echo_json(report)
     else:
-        for name, words in _lines(found):
+        for name, words in _lines(report):
             click.echo(f"{name:<9}{words}")
-    ctx.exit(0 if found["points_mode"]["works"] else 1)
+    ctx.exit(0 if report["points_mode"]["works"] else 1)
 
 
 def examined(imports: bool) -> dict[str, Any]:
@@ -92,10 +87,8 @@ def _version(module: str, *packages: str) -> str | None:
     except (ImportError, ValueError):
         return None
     for package in packages:
-        try:
+        with suppress(PackageNotFoundError):
             return version(package)
-        except PackageNotFoundError:
-            continue
     return "unknown"
 
 
@@ -133,7 +126,7 @@ def _points_mode() -> dict[str, Any]:
         camera = read_camera(chair / "camera.json", mask.shape[1], mask.shape[0])
         cloud = read_cloud(chair / "initial.ply")
         refine(cloud.points, mask, camera, RefineConfig(steps=3))
-    # Anything may be wrong with an installation, and this command is there to say what.
+    # Anything may be wrong with an report, and this command is there to say what.
     except Exception as error:
         return {"works": False, "error": missing_extra(error) or reason(error)}
     return {"works": True, "error": None}
@@ -150,26 +143,26 @@ def _devices() -> list[str]:
     return ["cpu", *gpus, *(["mps"] if torch.backends.mps.is_available() else [])]
 
 
-def _lines(found: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _lines(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """A name and what is said of it, for each line."""
-    yield "tso", f"{found['version']}, Python {found['python']}, {found['platform']}"
-    here = [f"{name} {number}" for name, number in found["packages"].items() if number]
-    missing = [name for name, number in found["packages"].items() if not number]
-    yield "packages", ", ".join(here)
+    yield "tso", f"{report['version']}, Python {report['python']}, {report['platform']}"
+    packages = report["packages"]
+    missing = [name for name, number in packages.items() if not number]
+    yield "packages", ", ".join(f"{name} {number}" for name, number in packages.items() if number)
     if missing:
         yield "missing", f"{', '.join(missing)}: pip install {' '.join(missing)}"
-    mode = found["points_mode"]
+    mode = report["points_mode"]
     yield "points", "points mode works" if mode["works"] else f"fails: {mode['error']}"
-    for name, extra in found["extras"].items():
+    for name, extra in report["extras"].items():
         parts = [
             f"{module} {number}" if number else f"{module} is missing"
             for module, number in extra["packages"].items()
         ]
         parts += [f"{module} fails: {why}" for module, why in extra["faults"].items()]
         yield name, ", ".join(parts) + ("" if extra["complete"] else f": {extra['install']}")
-    yield "cores", f"{found['cores']}; a batch runs {found['processes']} at once"
-    free = found["free_memory_bytes"]
+    yield "cores", f"{report['cores']}; a batch runs {report['processes']} at once"
+    free = report["free_memory_bytes"]
     yield "memory", f"{free / 2**30:.1f} GiB free" if free < float("inf") else "unknown"
-    devices = found["devices"]
-    looked = "not looked for: tso doctor --imports" if devices is None else ", ".join(devices)
-    yield "devices", looked or "none without torch"
+    devices = report["devices"]
+    unknown = "not looked for: tso doctor --imports"
+    yield "devices", unknown if devices is None else ", ".join(devices) or "none without torch"

@@ -140,12 +140,11 @@ def _table(result: dict[str, Any], config: EvalConfig) -> str:
         [record["name"], record["prediction_points"], record["target_points"], *cells(record)]
         for record in result["pairs"]
     ]
-    several = len(rows) > 1
-    if several:
+    has_mean = len(rows) > 1
+    if has_mean:
         rows.append([f"mean of {len(rows)}", None, None, *cells(result["mean"])])
-    table = text_table(
-        ["name", "N prediction", "N target", *titles], rows, rule_before_last=several
-    )
+    header = ["name", "N prediction", "N target", *titles]
+    table = text_table(header, rows, rule_before_last=has_mean)
     return "\n".join([table, *_conventions(result, config, "emd" in squared)])
 
 
@@ -162,9 +161,8 @@ def _conventions(result: dict[str, Any], config: EvalConfig, squared_emd: bool) 
     lines = [f"{labels[name]}: {convention[name]}" for name in METRICS if name in config.metrics]
     if "iou" in config.metrics:
         lines[-1] += "; clouds in their own frame"
-    if any(
-        {record["prediction_kind"], record["target_kind"]} <= sampled for record in result["pairs"]
-    ):
+    kinds = [{record["prediction_kind"], record["target_kind"]} for record in result["pairs"]]
+    if any(pair <= sampled for pair in kinds):
         lines.append(
             "surfaces: prediction and target draw their own points, "
             "so that the distance of equal shapes is not 0"

@@ -22,7 +22,18 @@ SWITCHES = {"true": True, "1": True, "yes": True, "false": False, "0": False, "n
 
 def read_options(path: Path, expected: str) -> dict[str, Any]:
     """What a TOML or JSON file of options holds; InputError if it is not what is ``expected``."""
-    document = _document(path, read_bytes(path, expected, LARGEST), expected)
+    data = read_bytes(path, expected, LARGEST)
+    try:
+        if path.suffix.lower() != ".toml":
+            document = json.loads(data)
+        else:
+            try:
+                import tomllib
+            except ImportError:  # Python 3.10
+                import tomli as tomllib
+            document = tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None
     if not isinstance(document, dict):
         raise InputError(f"{path}: holds {shown(document)}, expected {expected}")
     return document
@@ -30,8 +41,8 @@ def read_options(path: Path, expected: str) -> dict[str, Any]:
 
 def set_defaults(ctx: click.Context, kind: type, path: Path, values: dict[str, Any]) -> None:
     """Let the ``values`` of a file stand for the options of ``kind`` that are not given."""
-    taken = values_of(kind, str(ctx.command.name), path, values)
-    ctx.default_map = {**(ctx.default_map or {}), **taken}
+    options = values_of(kind, str(ctx.command.name), path, values)
+    ctx.default_map = {**(ctx.default_map or {}), **options}
 
 
 def values_of(kind: type, command: str, path: Path, values: dict[str, Any]) -> dict[str, Any]:
@@ -39,7 +50,11 @@ def values_of(kind: type, command: str, path: Path, values: dict[str, Any]) -> d
 
     Paths are text, relative to the folder of the file.
     """
-    table, taken = named(kind), {}
+
+    def placed(text: str) -> str:
+        return text if "://" in text else str(path.parent / text)
+
+    table, options = named(kind), {}
     example = "camera or refine-camera" if command == "refine" else "seed or output"
     for key, value in values.items():
         if isinstance(value, dict):
@@ -47,17 +62,13 @@ def values_of(kind: type, command: str, path: Path, values: dict[str, Any]) -> d
                 f"{path}: {shown(key)} is a table, expected options such as steps = 20 at the top "
                 "of the file"
             )
-        if (one := table.get(plain_name(key))) is None:
+        if (entry := table.get(plain_name(key))) is None:
             raise InputError(
                 f"{path}: {shown(key)} is no option of {command}, expected names such as {example}"
             )
         with prefixed(f"{path}: {plain(key)} is "):
-            taken[one.name] = value_of(one, value, lambda text: _placed(text, path.parent))
-    return taken
-
-
-def _placed(text: str, folder: Path) -> str:
-    return text if "://" in text else str(folder / text)
+            options[entry.name] = value_of(entry, value, placed)
+    return options
 
 
 def plain_name(name: str) -> str:
@@ -69,67 +80,55 @@ def plain_name(name: str) -> str:
 def named(kind: Any) -> dict[str, Declared]:
     """The options of a dataclass by the names of their fields, and by those that help shows."""
     table = dict(declared(kind))
-    for one in declared(kind).values():
-        table |= {plain_name(name): one for name in one.flags if name[:2] == "--"}
+    for entry in declared(kind).values():
+        table |= {plain_name(name): entry for name in entry.flags if name[:2] == "--"}
     return table
 
 
-def value_of(one: Declared, value: Any, place: Callable[[str], str]) -> Any:
+def value_of(entry: Declared, value: Any, place: Callable[[str], str]) -> Any:
     """The value of an option that a file has as ``value``, which may be text.
 
     ``place`` says where a path of the file leads. InputError with the value and what was expected.
     """
-    if one.length > 1 and (not isinstance(value, list) or len(value) != one.length):
-        raise InputError(f"{shown(value)}, expected {one.length} numbers")
-    several = one.several or one.length > 1
-    whole = several and isinstance(value, (list, tuple))
-    values = [_single(one, item, place) for item in (value if whole else [value])]
+    if entry.length > 1 and (not isinstance(value, list) or len(value) != entry.length):
+        raise InputError(f"{shown(value)}, expected {entry.length} numbers")
+    several = entry.several or entry.length > 1
+    is_sequence = several and isinstance(value, (list, tuple))
+    values = [_single(entry, item, place) for item in (value if is_sequence else [value])]
     return tuple(values) if several else values[0]
 
 
-def _single(one: Declared, value: Any, place: Callable[[str], str]) -> Any:
-    option, text = one.option, isinstance(value, str)
+def _single(entry: Declared, value: Any, place: Callable[[str], str]) -> Any:
+    option, text = entry.option, isinstance(value, str)
     auto = AUTO in option.words
-    if one.optional and (value is None or (auto and value == AUTO)):
+    if entry.optional and (value is None or (auto and value == AUTO)):
         return None
     if option.table is not None and value == "list":
         raise InputError("list, expected a name from that list")
     try:
         if option.parser is not None:
             return option.parser.convert(value, None, None)
-        if one.plain is bool and (text or isinstance(value, bool)):
+        if entry.plain is bool and (text or isinstance(value, bool)):
             return SWITCHES[value.casefold()] if text else value
-        if one.plain in (int, float) and isinstance(value, (int, float, str)):
-            number = int(value) if one.plain is int and text else value
-            number = float(value) if one.plain is float and not isinstance(value, bool) else number
-            if one._replace(length=1).takes(number):
+        if entry.plain in (int, float) and isinstance(value, (int, float, str)):
+            number = value
+            if text or (entry.plain is float and not isinstance(value, bool)):
+                number = entry.plain(value)
+            if entry._replace(length=1).takes(number):
                 return number
-        if one.plain is Path and text and value and _is_text(value):
+        if entry.plain is Path and text and value and _is_text(value):
             return value if value in option.words else place(value)
         words = isinstance(value, (int, float, str)) and not isinstance(value, bool)
-        if one.plain is str and words and _is_text(str(value)) and one.takes(str(value)):
+        if entry.plain is str and words and _is_text(str(value)) and entry.takes(str(value)):
             return str(value)
     except click.UsageError as error:
         raise InputError(f"{shown(value)}, {error.format_message()}") from None
     except (KeyError, ValueError, OverflowError):
         pass
-    raise InputError(f"{shown(value)}, expected {'auto or ' if auto else ''}{one.expected}")
+    raise InputError(f"{shown(value)}, expected {'auto or ' if auto else ''}{entry.expected}")
 
 
 def _is_text(text: str) -> bool:
     """Whether a text can be the name of a file: JSON can hold halves of characters."""
     os.fsencode(text)
     return "\0" not in text
-
-
-def _document(path: Path, data: bytes, expected: str) -> Any:
-    try:
-        if path.suffix.lower() != ".toml":
-            return json.loads(data)
-        try:
-            import tomllib
-        except ImportError:  # Python 3.10
-            import tomli as tomllib
-        return tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)}), expected {expected}") from None

@@ -62,11 +62,8 @@ class AutoOrInteger(click.types.IntParamType):
 class LazyGroup(click.Group):
     """Commands that are imported when they are run, so that `tso --help` does not wait for torch.
 
-    Without a command the group prints its help on stderr and exits with 2, with every version of
-    click.
+    Without a command the group prints its help on stderr and exits with 2.
 
-    Parameters
-    ----------
     sections : heading -> name of a command -> (its module, its line of help). The module holds the
         command as ``command``.
     """
@@ -119,8 +116,6 @@ class LazyGroup(click.Group):
 class Command(click.Command):
     """A command whose help shows defaults, and options under headings.
 
-    Parameters
-    ----------
     headings : name of a parameter -> the heading above it and above the parameters after it that
         have none. Parameters of one heading stand together.
     brief : names of the options that --help shows; --help-all shows every option. If empty, both
@@ -157,21 +152,19 @@ def command(
     The function gets them as a ``kind``, which has checked them.
     """
     table = declared(kind)  # type: ignore[arg-type]
-    headings = {one.name: one.option.heading for one in table.values() if one.option.heading}
-    brief = [one.name for one in table.values() if one.option.brief]
+    headings = {name: e.option.heading for name, e in table.items() if e.option.heading}
+    brief = [name for name, entry in table.items() if entry.option.brief]
 
     def decorate(function: Callable[[click.Context, T], None]) -> Command:
-        def callback(**chosen: Any) -> None:
-            given = {
-                name: value
-                for name, value in chosen.items()
-                if value is not None or table[name].optional
-            }
-            function(click.get_current_context(), kind(**given))
+        def callback(**values: Any) -> None:
+            for name, value in list(values.items()):
+                if value is None and not table[name].optional:
+                    del values[name]
+            function(click.get_current_context(), kind(**values))
 
         callback.__doc__ = function.__doc__
-        flags = {one.title: one.flag for one in table.values()}
-        parameters = [*(_parameter(one, flags) for one in table.values()), *more]
+        flags = {entry.title: entry.flag for entry in table.values()}
+        parameters = [*(_parameter(entry, flags) for entry in table.values()), *more]
         return Command(
             name, callback=callback, help=function.__doc__, params=parameters, headings=headings,
             brief=brief if len(brief) < len(table) else (),
@@ -180,41 +173,41 @@ def command(
     return decorate
 
 
-def parameter(one: Declared) -> click.Parameter:
+def parameter(entry: Declared) -> click.Parameter:
     """An option of no dataclass as click has it, which checks its value."""
 
     def checked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
-        for item in value if one.several else (value,):
-            if item is not None and not one.takes(item):
-                raise InputError(f"{one.flag} is {item}, expected {one.expected}")
+        for item in value if entry.several else (value,):
+            if item is not None and not entry.takes(item):
+                raise InputError(f"{entry.flag} is {item}, expected {entry.expected}")
         return value
 
-    made = _parameter(one, {})
-    made.callback = checked
-    return made
+    option = _parameter(entry, {})
+    option.callback = checked
+    return option
 
 
-def _parameter(one: Declared, flags: Mapping[str, str]) -> click.Parameter:
+def _parameter(entry: Declared, flags: Mapping[str, str]) -> click.Parameter:
     """An option of a dataclass as click has it."""
-    option = one.option
+    option = entry.option
     if option.role == "argument":
         return click.Argument(
-            [one.name], type=_click_type(one), nargs=-1 if one.several else 1,
-            required=one.required, metavar=option.metavar,
+            [entry.name], type=_click_type(entry), nargs=-1 if entry.several else 1,
+            required=entry.required, metavar=option.metavar,
         )  # fmt: skip
     words = f"  [default: {option.default_words}]" if option.default_words else ""
     help = _with_flags(option.help + words, flags)
     settings: dict[str, Any] = dict(help=help, metavar=option.metavar)
-    if one.plain is bool:
+    if entry.plain is bool:
         settings |= dict(is_flag=True)
     else:
-        settings |= dict(type=_click_type(one), multiple=one.several, required=one.required)
-        settings |= dict(nargs=one.length)
-        if not one.required and one.default not in (None, ()) and not option.default_words:
-            settings |= dict(default=one.default)
+        settings |= dict(type=_click_type(entry), multiple=entry.several, required=entry.required)
+        settings |= dict(nargs=entry.length)
+        if not entry.required and entry.default not in (None, ()) and not option.default_words:
+            settings |= dict(default=entry.default)
     if option.table is not None:
         settings |= dict(callback=listing(option.table), is_eager=True)
-    return click.Option([*one.flags, one.name], **settings)
+    return click.Option([*entry.flags, entry.name], **settings)
 
 
 def _with_flags(text: str, flags: Mapping[str, str]) -> str:
@@ -233,14 +226,14 @@ class _Parsed(click.ParamType):
         return value if isinstance(value, tuple) else self.parser.convert(value, param, ctx)
 
 
-def _click_type(one: Declared) -> Any:
-    if one.choices:
-        return click.Choice(one.choices)
-    if one.option.parser is not None:
-        return _Parsed(one.option.parser)
-    if one.plain is Path:
-        return FilePath(*one.option.words)
-    return AutoOrInteger() if AUTO in one.option.words else one.plain
+def _click_type(entry: Declared) -> Any:
+    if entry.choices:
+        return click.Choice(entry.choices)
+    if entry.option.parser is not None:
+        return _Parsed(entry.option.parser)
+    if entry.plain is Path:
+        return FilePath(*entry.option.words)
+    return AutoOrInteger() if AUTO in entry.option.words else entry.plain
 
 
 def _complete(command: click.Command) -> click.Command:
@@ -253,37 +246,32 @@ def _complete(command: click.Command) -> click.Command:
                 parameter.metavar = parameter.metavar or "N"
             elif isinstance(parameter.type, click.types.FloatParamType):
                 parameter.metavar = parameter.metavar or "X"
-    command.params.append(
-        click.Option(
-            ["--help-all"],
-            is_flag=True,
-            is_eager=True,
-            expose_value=False,
-            callback=_show_all,
-            hidden=not getattr(command, "brief", ()),  # it would show what --help shows
-            help="Show every option and exit.",
-        )
-    )
+
+    def show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+        if value and not ctx.resilient_parsing:
+            ctx.meta[SHOW_ALL] = True
+            click.echo(ctx.get_help())
+            ctx.exit()
+
+    # Where --help shows every option, it is hidden.
+    help_all = click.Option(
+        ["--help-all"], is_flag=True, is_eager=True, expose_value=False, callback=show_all,
+        hidden=not getattr(command, "brief", ()), help="Show every option and exit.",
+    )  # fmt: skip
+    command.params.append(help_all)
     return command
-
-
-def _show_all(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
-    if value and not ctx.resilient_parsing:
-        ctx.meta[SHOW_ALL] = True
-        click.echo(ctx.get_help())
-        ctx.exit()
 
 
 def listing(table: Callable[[], Mapping[str, str]]) -> Callable[..., Any]:
     """The callback of an option that takes the word `list`: print ``table()`` and exit with 0.
 
-    The table is name -> what it means. The option has to be eager, so that `tso COMMAND --option
-    list` needs no arguments. ``table`` is called only then: it may import.
+    The table is name -> meaning; it is made only then. The option has to be eager, so that
+    `tso COMMAND --option list` needs no arguments.
     """
 
     def print_if_asked(ctx: click.Context, parameter: click.Parameter, value: Any) -> Any:
-        asked = value == "list" or (isinstance(value, tuple) and "list" in value)
-        if asked and not ctx.resilient_parsing:
+        is_list = value == "list" or (isinstance(value, tuple) and "list" in value)
+        if is_list and not ctx.resilient_parsing:
             rows = table()
             width = max(map(len, rows), default=0)
             for name, words in rows.items():
@@ -299,10 +287,8 @@ def overwrite() -> Any:
 
 
 def as_json() -> Any:
-    return opt(
-        False, help="Print one JSON document on stdout.", brief=True, role="run",
-        names=("json",),
-    )  # fmt: skip
+    help = "Print one JSON document on stdout."
+    return opt(False, help=help, brief=True, role="run", names=("json",))
 
 
 def quiet(help: str = "Print nothing but errors.") -> Any:
@@ -314,11 +300,8 @@ def seed() -> Any:
 
 
 def device() -> Any:
-    return opt(
-        "cpu",
-        help="cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental.",
-        metavar="DEVICE",
-    )
+    help = "cpu, cuda, cuda:1, mps or auto. GPU support (Triton kernels) is experimental."
+    return opt("cpu", help=help, metavar="DEVICE")
 
 
 def _formats() -> dict[str, str]:
@@ -329,36 +312,23 @@ def _formats() -> dict[str, str]:
 
 
 def camera_format() -> Any:
-    return opt(
-        None,
-        help="Format of the camera file, if the content does not tell; `list` lists all.",
-        metavar="NAME",
-        table=_formats,
-    )
+    help = "Format of the camera file, if the content does not tell; `list` lists all."
+    return opt(None, help=help, metavar="NAME", table=_formats)
 
 
 def object_id() -> Any:
-    return opt(
-        None, help="Object of a BOP scene that has several.", least=0, metavar="ID",
-        names=("object",),
-    )  # fmt: skip
+    help = "Object of a BOP scene that has several."
+    return opt(None, help=help, least=0, metavar="ID", names=("object",))
 
 
 def label() -> Any:
-    return opt(
-        None,
-        help="Label of the object in masks that show several; R,G,B in coloured ones.",
-        metavar="N",
-    )
+    help = "Label of the object in masks that show several; R,G,B in coloured ones."
+    return opt(None, help=help, metavar="N")
 
 
 def mask_index() -> Any:
-    return opt(
-        None,
-        help="Place of the object's mask in an array or list of several masks.",
-        least=0,
-        metavar="N",
-    )
+    help = "Place of the object's mask in an array or list of several masks."
+    return opt(None, help=help, least=0, metavar="N")
 
 
 def pick(kind: type[T], chosen: Mapping[str, Any]) -> T:
@@ -396,15 +366,15 @@ def echo_json(document: Any) -> None:
 
 def json_text(document: Any) -> str:
     """A JSON document; numbers that are not finite become null."""
-    return json.dumps(plain(document), indent=2, allow_nan=False)
+    return json.dumps(json_values(document), indent=2, allow_nan=False)
 
 
-def plain(value: Any) -> Any:
+def json_values(value: Any) -> Any:
     """A document with nothing but what JSON has; numbers that are not finite become null."""
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): json_values(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [json_values(item) for item in value]
     if isinstance(value, Path):
         return str(value)
     if hasattr(value, "item"):  # numpy scalars
@@ -415,29 +385,26 @@ def plain(value: Any) -> Any:
 def command_line(name: str, kind: Any, values: Mapping[str, Any], *more: str) -> str:
     """A command with the ``values`` of its options and ``more`` words, as a line for a shell."""
     arguments, words = [], []
-    for one in declared(kind).values():
-        if one.name not in values:
+    for entry in declared(kind).values():
+        if entry.name not in values:
             continue
-        value = values[one.name]
-        several = value if one.several else (value,)
-        shown = [AUTO if item is None else str(item) for item in several]
-        if one.option.role == "argument":
-            arguments += shown
-        elif one.plain is bool:
-            words += [one.flag]
+        value = values[entry.name]
+        items = value if entry.several else (value,)
+        texts = [AUTO if item is None else str(item) for item in items]
+        if entry.option.role == "argument":
+            arguments += texts
+        elif entry.plain is bool:
+            words += [entry.flag]
         else:
-            words += [word for text in shown for word in (one.flag, text)]
+            words += [word for text in texts for word in (entry.flag, text)]
     return shlex.join(["tso", name, *arguments, *words, *more])
 
 
-def given(ctx: click.Context, *without: click.core.ParameterSource) -> dict[str, Any]:
-    """The parameters of a command that were not left to their defaults, nor come from others."""
-    others = (click.core.ParameterSource.DEFAULT, *without)
-    return {
-        name: value
-        for name, value in ctx.params.items()
-        if ctx.get_parameter_source(name) not in others
-    }
+def explicit_options(ctx: click.Context, *without: click.core.ParameterSource) -> dict[str, Any]:
+    """The parameters of a command whose values come neither from defaults nor ``without``."""
+    sources = (click.core.ParameterSource.DEFAULT, *without)
+    values = ctx.params.items()
+    return {name: v for name, v in values if ctx.get_parameter_source(name) not in sources}
 
 
 def log(message: str) -> None:
@@ -453,17 +420,19 @@ class Warnings:
         self.texts: list[str] = []
 
     def __enter__(self) -> Warnings:
-        self._show = warnings.showwarning
-        warnings.showwarning = self._keep
+        self._block = warnings.catch_warnings()
+        self._block.__enter__()
+        warnings.simplefilter("always", UserWarning)  # else a process says it of its first item
+        self._show, warnings.showwarning = warnings.showwarning, self._keep
         return self
 
-    def __exit__(self, *_: object) -> None:
-        warnings.showwarning = self._show
+    def __exit__(self, *error: Any) -> None:
+        self._block.__exit__(*error)
 
-    def _keep(self, message: Warning | str, *rest: Any, **named: Any) -> None:
+    def _keep(self, message: Warning | str, *rest: Any, **more: Any) -> None:
         self.texts.append(str(message))
         if not self.quiet:
-            self._show(message, *rest, **named)
+            self._show(message, *rest, **more)
 
 
 class ProgressBar:
@@ -486,7 +455,7 @@ class ProgressBar:
         """Show ``done`` of ``total``."""
         mark = done * (40 if self._terminal else 10) // max(total, 1)
         now = time.monotonic()
-        self._first = self._first or (now, done)
+        self._first = begun, done_before = self._first or (now, done)
         if self._shown < 0 and now < self._due:
             return
         if mark == self._shown and now < self._due and not (done == total and self._terminal):
@@ -497,9 +466,15 @@ class ProgressBar:
         if not self._terminal:
             log(f"{self.label} {words}")
             return
+        try:
+            columns = os.get_terminal_size(sys.stderr.fileno()).columns or 80
+        except OSError:
+            columns = 80
         # A line that wraps cannot be overwritten: shorten the bar until it fits.
-        width = min(40, _columns() - len(f"{self.label} [] {total}/{total} {note}, 00:00 left") - 1)
-        words += self._left(now, done, total)
+        width = min(40, columns - len(f"{self.label} [] {total}/{total} {note}, 00:00 left") - 1)
+        if done_before < done < total:
+            seconds = math.ceil((now - begun) / (done - done_before) * (total - done))
+            words += f", {seconds // 60}:{seconds % 60:02} left"
         filled = done * width // max(total, 1)
         bar = f"[{'#' * filled}{'.' * (width - filled)}] " if width > 0 else ""
         self._open = done != total
@@ -510,18 +485,3 @@ class ProgressBar:
         if self._open:
             log("")
         self._open = False
-
-    def _left(self, now: float, done: int, total: int) -> str:
-        began, before = self._first or (now, done)
-        if not before < done < total:
-            return ""
-        seconds = math.ceil((now - began) / (done - before) * (total - done))
-        return f", {seconds // 60}:{seconds % 60:02} left"
-
-
-def _columns() -> int:
-    """Width of the terminal."""
-    try:
-        return os.get_terminal_size(sys.stderr.fileno()).columns or 80
-    except OSError:
-        return 80

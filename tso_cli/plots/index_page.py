@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from .page.write import as_json, text
+from .page.write import as_json, html_page, text
 
 COLUMNS = {
     "item": "item",
@@ -135,16 +133,7 @@ def index_page(rows: Sequence[dict[str, Any]], no_pictures: str) -> str:
         "worstFirst": WORST_FIRST,
         "pictures": pictures,
     }
-    digest = base64.b64encode(hashlib.sha256(_SCRIPT.encode()).digest()).decode("ascii")
-    policy = (
-        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
-        "img-src 'self' file: data:"
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{len(rows):,} items: tso batch</title>\n<style>{_STYLE}</style></head>\n<body>\n"
+    body = (
         f"<h1>{len(rows):,} items</h1>\n<p>{summary}. {SHOWN if pictures else no_pictures}</p>\n"
         '<div class="bar"><input id="search" type="search" placeholder="search" '
         'aria-label="search items"><select id="only" aria-label="show only">'
@@ -152,5 +141,6 @@ def index_page(rows: Sequence[dict[str, Any]], no_pictures: str) -> str:
         f"<table><thead>{head}</thead><tbody></tbody></table>\n"
         '<p><button id="more">more</button></p>\n'
         f'<script type="application/json" id="rows">{as_json(data)}</script>\n'
-        f"<script>{_SCRIPT}</script>\n</body></html>\n"
     )
+    title = f"{len(rows):,} items: tso batch"
+    return html_page(title, _STYLE, body, [_SCRIPT], images="'self' file: data:")

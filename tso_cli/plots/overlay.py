@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
 from ..evaluation.footprint import Solid, WindowImages, common_window, grid_of, in_window
 from ..geometry.arrays import Array, Box, Pixels
@@ -20,11 +20,7 @@ from ..geometry.points import evenly
 from ..geometry.view import View
 from ..refinement import RefineResult
 
-if TYPE_CHECKING:
-    from PIL import Image
-
-    Row = list[tuple[str, Image.Image]]
-
+Row = list[tuple[str, Image.Image]]
 Colour = tuple[float, float, float]
 
 # What the colours of mask and silhouette mean. They are safe for colour-blind readers.
@@ -72,8 +68,6 @@ def photo_in_window(photo: Pixels | None, camera: Camera, box: Box) -> Pixels | 
     """
     if photo is None:
         return None
-    from PIL import Image
-
     (left, top, right, bottom), width, height, _, _ = grid_of(camera, box)
     high, wide = photo.shape[:2]
     across, down = wide / camera.width, high / camera.height
@@ -89,10 +83,7 @@ def photo_in_window(photo: Pixels | None, camera: Camera, box: Box) -> Pixels | 
 
 
 def draw_overlay(
-    path: Path,
-    result: RefineResult,
-    views: Sequence[View],
-    photos: Sequence[Pixels | None] = (),
+    path: Path, result: RefineResult, views: Sequence[View], photos: Sequence[Pixels | None] = ()
 ) -> None:
     """Write a picture of a result to ``path``.
 
@@ -117,6 +108,19 @@ def draw_overlay(
         del colours["unknown"]
     # This level takes 60 % of the time and 108 % of the size of the default level 6.
     _draw(rows, heading, colours).save(path, format="PNG", compress_level=1)
+
+
+def write_thumbnail(path: Path, result: RefineResult, views: Sequence[View]) -> None:
+    """Write mask and silhouette of the first view, before and after, side by side as PNG."""
+    side, gap = 96, 4  # px
+    stages = stages_of(result, views[0], 0)
+    window = common_window(stages)
+    both = Image.new("RGB", (2 * side + gap, side), "white")
+    for number, (solid, stage) in enumerate(stages):
+        colours = np.rint(compare(in_window(solid, stage, window)) * 255.0).astype(np.uint8)
+        square = Image.fromarray(colours).resize((side, side), Image.Resampling.BOX)
+        both.paste(square, (number * (side + gap), 0))
+    both.quantize(16).save(path, format="PNG", optimize=True)
 
 
 def _before_and_after(result: RefineResult, view: View, photo: Pixels | None) -> list[Row]:
@@ -178,8 +182,6 @@ def _silhouettes(
 
 def _draw(rows: list[Row], heading: str | None, colours: dict[str, Colour]) -> Image.Image:
     """Rows of three titled panels between heading and legend."""
-    from PIL import Image, ImageDraw, ImageFont
-
     font = ImageFont.load_default(16)
     over = TITLE if heading else 0
     picture = Image.new(
@@ -209,8 +211,6 @@ def _draw(rows: list[Row], heading: str | None, colours: dict[str, Colour]) -> I
 
 def _fitted(colours: NDArray[np.float64]) -> Image.Image:
     """[H, W, 3] in [0, 1] as a panel."""
-    from PIL import Image
-
     image = Image.fromarray(np.rint(colours * 255.0).astype(np.uint8))
     scale = PANEL / max(image.size)
     width, height = (max(1, round(side * scale)) for side in image.size)
@@ -231,8 +231,6 @@ def _dots(
     across: NDArray[np.float64], down: NDArray[np.float64], depth: NDArray[np.float64]
 ) -> Image.Image:
     """A panel of points; ``across`` and ``down`` are in [-1, 1]. Near points hide far points."""
-    from PIL import Image
-
     supersampling = 3
     side = PANEL * supersampling
     radius = supersampling * float(np.clip(48.0 / np.sqrt(len(depth)), 0.4, 1.9))

@@ -19,6 +19,7 @@ from threading import Event
 
 import numpy as np
 
+from tso_cli.batch.engines import Engine
 from tso_cli.batch.journal import ENDS, NAME, entries, open_journal
 from tso_cli.batch.run import Outcome, Task, run, tasks_of
 from tso_cli.geometry.points import longest_side
@@ -195,7 +196,8 @@ def _nothing_to_do(folder: Path) -> None:
     ]
     with open_journal(folder / NAME) as journal, WorkerPool(os.cpu_count() or 1) as pool:
         tasks = tasks_of(items, {}, lambda item, known: "")
-        run(tasks, {}, _no_work, bool, pool, 8, journal, lambda *ended: None, Event())
+        engine = Engine(pool, window=8)
+        run(tasks, {}, _no_work, bool, engine, journal, lambda *ended: None, Event())
 
 
 def _manifest(seed: int) -> Cases:

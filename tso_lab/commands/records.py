@@ -97,7 +97,7 @@ def write_record(record: Record, output: Path) -> None:
 
     What is no number becomes null, as JSON has no other word for it.
     """
-    record = options.plain(record)
+    record = options.json_values(record)
     cases = ",\n".join(json.dumps(case, separators=(",", ":")) for case in record.pop("cases"))
     with atomic_output(output) as temporary:
         temporary.write_text(f'{json.dumps(record, indent=1)[:-2]},\n "cases": [\n{cases}\n]}}\n')

@@ -5,13 +5,13 @@ from __future__ import annotations
 import errno
 import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ...batch.remote import cameras_of, exists, is_remote, local, state_of, texts_of
-from ...batch.run import Given, Outcome, Task
+from ...batch.run import ItemOptions, Outcome, Task
 from ...errors import InputError, TsoError
 from ...io.output import atomic_output
 from ...io.reading import digest_of
@@ -21,7 +21,9 @@ from ..refine.inputs import RefineInputs
 from ..refine.options import RefineOptions
 from ..refine.outputs import NAMED, record_of
 from ..refine.record import key_of
+from ..refine.report import RefineReport
 from ..refine.run import RefineRun
+from .page import picture_of
 
 # Errors of a disk or network that may be over after a moment, and the seconds to wait before each
 # attempt; and those of a disk that needs somebody's hand.
@@ -33,7 +35,7 @@ PAUSES = (0.0, 0.5, 2.0)
 OF_THE_DISK = (*PASSING, errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
-def options_of(given: Given) -> RefineOptions:
+def options_of(item_options: ItemOptions) -> RefineOptions:
     """The options of an item, whose paths are text; InputError if they do not go together."""
     table = declared(RefineOptions)
 
@@ -42,39 +44,30 @@ def options_of(given: Given) -> RefineOptions:
             return value
         return tuple(map(Path, value)) if isinstance(value, tuple) else Path(value)
 
-    return RefineOptions(**{name: typed(name, value) for name, value in given.items()})
+    return RefineOptions(**{name: typed(name, value) for name, value in item_options.items()})
 
 
-def _cameras(given: Given) -> dict[str, str]:
-    """Remote mask -> the camera file next to it, unless the item names its camera."""
-    return {} if given.get("camera") else cameras_of(given.get("masks", ()))
+def _key(task: Task) -> tuple[str, dict[str, str]]:
+    """The key of an item, and the camera files next to its remote masks (`cameras_of`).
 
-
-def _key(task: Task, chosen: RefineOptions, cameras: Mapping[str, str]) -> str:
-    """The key of an item: its settings, the contents of its files, the state of remote files.
-
-    ``cameras`` are those next to its masks.
+    The key is of its settings, the contents of its files, and the state of remote files.
     """
-    remote = [text for text in texts_of(task.given) if is_remote(text) and text != task.item]
+    refine_options, item_options = options_of(task.options), task.options
+    cameras = {} if item_options.get("camera") else cameras_of(item_options.get("masks", ()))
+    remote = [text for text in texts_of(item_options) if is_remote(text) and text != task.item]
     states = [state_of(address) for address in (*remote, *cameras.values())]
-    digests = [digest_of(file) for file in RefineInputs(chosen).files if not _fetched(file)]
-    return key_of({name: getattr(chosen, name) for name in task.given}, [*states, *digests])
-
-
-def _fetched(path: Path) -> bool:
-    """Whether a path was an address; `Path` has left it a single slash."""
-    return re.match(r"[a-z][a-z0-9+.-]+:/", path.as_posix()) is not None
+    files = RefineInputs(refine_options).files
+    # `Path` leaves an address a single slash.
+    digests = [digest_of(file) for file in files if not re.match("[a-z][a-z0-9+.-]+:/", str(file))]
+    settings = {name: getattr(refine_options, name) for name in item_options}
+    return key_of(settings, [*states, *digests]), cameras
 
 
 def unchanged(task: Task) -> bool:
     """Whether the inputs and settings of an item have the key of its last end."""
-    chosen = options_of(task.given)
-    if task.written:
-        output = task.given["output"]
-        there = exists(task.item) if is_remote(task.item) else Path(output).is_file()
-        if not there or not (is_remote(task.item) or Path(record_of(output)).is_file()):
-            return False
-    return _key(task, chosen, _cameras(task.given)) == task.key
+    files = (task.options["output"], record_of(task.options["output"]))
+    is_there = exists(task.item) if is_remote(task.item) else all(Path(f).is_file() for f in files)
+    return (is_there or not task.has_result) and _key(task)[0] == task.key
 
 
 def refine_item(task: Task, pictures: Path | None) -> Outcome:
@@ -97,49 +90,41 @@ def refine_item(task: Task, pictures: Path | None) -> Outcome:
 
 
 def _refined(task: Task, pictures: Path | None) -> Outcome:
-    cameras = _cameras(task.given)
-    key = _key(task, options_of(task.given), cameras)
-    with local(task.given, task.item if is_remote(task.item) else "", cameras) as files:
-        # Files that are not of this batch were refused before; one of its own may be half of a
-        # result.
-        own = {"overwrite": True, "record": True, "quiet": True}
-        chosen = options_of({**files.given, **own})
-        outcome = _of_files(chosen, files.given, task.item, key, pictures)
-        record = Path(record_of(str(chosen.output)))
-        for text in (record, chosen.report, chosen.write_camera):
-            if text is not None and text.is_file():
-                files.name_in(text)
-        return replace(outcome, reason=files.named(outcome.reason))
+    key, cameras = _key(task)
+    with local(task.options, task.item if is_remote(task.item) else "", cameras) as files:
+        # Files of others were refused before; one of this batch may be half of a result.
+        of_batch = {"overwrite": True, "record": True, "quiet": True}
+        refine_options = options_of({**files.options, **of_batch})
+        explicit = {name: getattr(refine_options, name) for name in files.options}
+        for name in ("output", *NAMED):
+            if (file := getattr(refine_options, name)) is not None:
+                file.parent.mkdir(parents=True, exist_ok=True)
+        with options.Warnings(quiet=True) as warnings:
+            line = options.command_line("refine", RefineOptions, explicit)
+            report = RefineRun(refine_options, explicit, warnings.texts, line).work()
+            if pictures is not None:
+                _draw(picture_of(pictures, task.item), report)
+        for name in ("record", "report", "write_camera") if files.folders else ():
+            if name in report.files:
+                files.name_in(report.files[name])
+        document = report.document()
+        reason = files.named(document["reason"])
+    names = ("verdict", "confidence", "moved", "iou_before", "iou_after", "output")
+    values = {name: options.json_values(document[name]) for name in names}
+    if is_remote(task.item) and report.files:
+        values["output"] = task.item
+    if report.files and document["verdict"] != "doubtful":
+        return Outcome("done", key, values=values)
+    return Outcome("doubtful", key, reason=reason, values=values)
 
 
-def _of_files(
-    chosen: RefineOptions, given: Given, item: str, key: str, pictures: Path | None
-) -> Outcome:
-    given = {name: getattr(chosen, name) for name in given}
-    for name in ("output", *NAMED):
-        if (file := getattr(chosen, name)) is not None:
-            file.parent.mkdir(parents=True, exist_ok=True)
-    with options.Warnings(quiet=True) as warned:
-        line = options.command_line("refine", RefineOptions, given)
-        report, unwritten = RefineRun(chosen, given, warned.texts, line).work()
-        document = report.document(warned.texts, written=not unwritten)
-        if pictures is not None:
-            from ...plots.thumbnail import write_thumbnail
-            from .page import picture_of
+def _draw(picture: Path, report: RefineReport) -> None:
+    """Draw the picture of an item for the index page."""
+    from ...plots.overlay import write_thumbnail
 
-            picture = picture_of(pictures, item)
-            picture.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_output(picture, overwrite=True) as temporary:
-                write_thumbnail(temporary, report.result, report.scene.views)
-    doubtful = unwritten or document["verdict"] == "doubtful"
-    values = {
-        name: options.plain(document[name])
-        for name in ("verdict", "confidence", "moved", "iou_before", "iou_after", "output")
-    }
-    if is_remote(item) and not unwritten:
-        values["output"] = item
-    why = document["reason"] if doubtful else ""
-    return Outcome("doubtful" if doubtful else "done", key, 0.0, why, values)
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_output(picture, overwrite=True) as temporary:
+        write_thumbnail(temporary, report.result, report.scene.views)
 
 
 def _caused_by(error: BaseException | None, numbers: Sequence[int]) -> bool:

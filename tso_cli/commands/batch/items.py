@@ -7,19 +7,19 @@ from collections.abc import Iterable
 from functools import lru_cache
 from os.path import join, normpath, splitext
 from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
 from ...batch.manifest import CLOUD, MASK, OUTPUT, SEPARATOR, Item, in_shard
 from ...batch.remote import is_remote
-from ...batch.run import Given
+from ...batch.run import ItemOptions
 from ...errors import InputError, prefixed
-from ...io.clouds import check_suffix, output_suffix
+from ...io.clouds import check_suffix
 from ...io.output import require_suffix
 from ...io.reading import plain, shown
 from ...option import Declared
 from ..option_files import named, plain_name, value_of
 from ..refine.options import RefineOptions, is_word
-from ..refine.outputs import NAMED, OUTPUTS, record_of
+from ..refine.outputs import NAMED, OUTPUTS, own_suffix, record_of
 from .item import options_of
 from .page import INDEX, PICTURES
 
@@ -31,86 +31,67 @@ OF_BATCH = {
 ORDER = {**dict.fromkeys(NAMED, 1), "output": 2, "source": 3, "masks": 4}
 
 
-class Column(NamedTuple):
-    """A column of a manifest, and the option of `tso refine` that it sets."""
-
-    title: str
-    option: Declared
-
-
 def options_of_items(
-    items: Iterable[Item],
-    folder: str,
-    output: Path,
-    strict: bool,
-    shard: tuple[int, int] = (1, 1),
-) -> list[tuple[str, Given]]:
+    items: Iterable[Item], folder: str, output: Path, strict: bool, shard: tuple[int, int] = (1, 1)
+) -> list[tuple[str, ItemOptions]]:
     """The name of each item's result in the folder ``output``, and its options.
 
     Of all items there are those of the ``shard``; only those are checked whole. Paths are text,
     relative to ``folder``, a path or an address. Raises InputError with row and column for what
     `tso refine` does not take, and for two outputs of one name.
     """
-    of_shard: list[tuple[str, Given]] = []
-    places: dict[str, str] = {}
-    checked: set[tuple[Any, ...]] = set()
+    in_this_shard: list[tuple[str, ItemOptions]] = []
+    writers: dict[str, str] = {}
+    checked_settings: set[tuple[Any, ...]] = set()
     for item in items:
-        columns = _columns_of(item)
-        given: dict[str, Any] = {"strict": True} if strict else {}
-        given |= {column.option.name: _value(item, column, folder) for column in columns}
-        name = _name(item, given)
+        with prefixed(f"{item.place}: "):
+            columns = _columns(tuple(item.values))
+        options: dict[str, Any] = {"strict": True} if strict else {}
+        for title, option in columns.items():
+            options[option.name] = _value(item, title, option, folder)
+        name = _name(item, options)
         record = record_of(name)
         # Two results of one record are in one shard. Other files of one name may be in two.
-        own = in_shard(record, shard)
-        written = [(OUTPUT, record)] if own else []
-        for column in columns:
-            if column.option.name in NAMED:
-                below = _below(item, column.title, given[column.option.name])
-                written.append((column.title, below))
-                given[column.option.name] = join(output, below)
-        _claim(item, written, places)
-        if not own:
+        is_in_shard = in_shard(record, shard)
+        files = [(OUTPUT, record)] if is_in_shard else []
+        for title, option in columns.items():
+            if option.name in NAMED:
+                file = _below(item, title, options[option.name])
+                files.append((title, file))
+                options[option.name] = join(output, file)
+        for title, file in files:
+            if file in writers:
+                raise InputError(
+                    f"{item.place}: {title}: {writers[file]} writes {plain(file)} too, expected "
+                    "another name"
+                )
+            writers[file] = item.place
+        if not is_in_shard:
             continue
-        given["output"] = name if is_remote(name) else join(output, name)
-        given = {key: given[key] for key in sorted(given, key=lambda key: ORDER.get(key, 0))}
-        if (settings := _settings(given)) not in checked:
-            _check(item, given, name)
-            checked.add(settings)
-        of_shard.append((name, {key: value for key, value in given.items() if value is not False}))
-    return of_shard
+        options["output"] = name if is_remote(name) else join(output, name)
+        options = {key: options[key] for key in sorted(options, key=lambda key: ORDER.get(key, 0))}
+        if (settings := _settings(options)) not in checked_settings:
+            _check(item, options, name)
+            checked_settings.add(settings)
+        options = {key: value for key, value in options.items() if value is not False}
+        in_this_shard.append((name, options))
+    return in_this_shard
 
 
-def _claim(item: Item, written: list[tuple[str, str]], places: dict[str, str]) -> None:
-    """Note the files (column, name) that an item writes; InputError if another one writes one."""
-    for title, file in written:
-        if file in places:
-            raise InputError(
-                f"{item.place}: {title}: {places[file]} writes {plain(file)} too, expected another "
-                "name"
-            )
-        places[file] = item.place
-
-
-def written_by(given: Given) -> list[str]:
+def written_by(options: ItemOptions) -> list[str]:
     """The files that an item with these options writes: its result, its record, then others.
 
     Result and record are paths or addresses, the others are paths.
     """
-    result = given["output"]
-    return [result, record_of(result), *(given[name] for name in NAMED if given.get(name))]
-
-
-def _columns_of(item: Item) -> tuple[Column, ...]:
-    try:
-        return _columns(tuple(item.values))
-    except InputError as error:
-        raise InputError(f"{item.place}: {error}") from None
+    result = options["output"]
+    return [result, record_of(result), *(options[name] for name in NAMED if options.get(name))]
 
 
 @lru_cache(maxsize=1024)
-def _columns(titles: tuple[str, ...]) -> tuple[Column, ...]:
-    """The columns of these titles."""
-    columns: dict[str, Column] = {}
+def _columns(titles: tuple[str, ...]) -> dict[str, Declared]:
+    """The titles of columns, each with the option of `tso refine` that it sets."""
+    title_of: dict[str, str] = {}
+    columns: dict[str, Declared] = {}
     for title in titles:
         option = named(RefineOptions).get(plain_name(title))
         if plain_name(title) == "config" or (
@@ -124,61 +105,54 @@ def _columns(titles: tuple[str, ...]) -> tuple[Column, ...]:
                 f"the column {shown(title)} is no option of tso refine for an item, expected "
                 f"{CLOUD}, {MASK}, camera, {OUTPUT}, steps and so on"
             )
-        if option.name in columns:
+        if option.name in title_of:
             raise InputError(
-                f"the columns {plain(columns[option.name].title)} and {plain(title)} are the same "
+                f"the columns {plain(title_of[option.name])} and {plain(title)} are the same "
                 "option, expected one of them"
             )
-        columns[option.name] = Column(title, option)
-    return tuple(columns.values())
+        title_of[option.name], columns[title] = title, option
+    return columns
 
 
-def _value(item: Item, column: Column, folder: str) -> Any:
+def _value(item: Item, title: str, option: Declared, folder: str) -> Any:
     """What a cell holds; a path as text, and that of an output as it is."""
-    option, value = column.option, item.values[column.title]
+    value = item.values[title]
     if option.several and isinstance(value, str):
         value = [text.strip() for text in value.split(SEPARATOR)]
     elif isinstance(value, list) and not option.several:
-        raise InputError(f"{item.place}: {column.title} has {len(value)} values, expected one")
+        raise InputError(f"{item.place}: {title} has {len(value)} values, expected one")
     if option.option.role == "output":
         return value if isinstance(value, str) else ""
-    try:
+    with prefixed(f"{item.place}: {title} is "):
         if value == []:
             raise InputError(f"[], expected {option.expected}")
-        made = value_of(option, value, lambda text: text if is_remote(text) else join(folder, text))
-    except InputError as error:
-        raise InputError(f"{item.place}: {column.title} is {error}") from None
-    if option.name == "masks" and len(set(map(normpath, made))) < len(made):
-        raise InputError(
-            f"{item.place}: {column.title} is {shown(item.values[column.title])}, expected each "
-            "mask once"
+        value = value_of(
+            option, value, lambda text: text if is_remote(text) else join(folder, text)
         )
-    return sys.intern(made) if option.plain is str and isinstance(made, str) else made
+        if option.name == "masks" and len(set(map(normpath, value))) < len(value):
+            raise InputError(f"{shown(item.values[title])}, expected each mask once")
+    return sys.intern(value) if option.plain is str and isinstance(value, str) else value
 
 
-def _settings(given: Given) -> tuple[Any, ...]:
+def _settings(options: ItemOptions) -> tuple[Any, ...]:
     """What of an item's options is checked: any path is a path, so rows that share it are alike."""
     table = named(RefineOptions)
     return tuple(
         (name, value)
         if table[name].plain is not Path or is_word(name, value)
         else (name, len(value) if isinstance(value, tuple) else splitext(value)[1])
-        for name, value in given.items()
+        for name, value in options.items()
     )
 
 
-def _name(item: Item, given: Given) -> str:
+def _name(item: Item, options: ItemOptions) -> str:
     """The name of the result: a path below the folder of the batch, or an address."""
-    if "output" in given:
-        return _below(item, OUTPUT, given["output"])
-    if "source" not in given:
+    if "output" in options:
+        return _below(item, OUTPUT, options["output"])
+    if "source" not in options:
         raise InputError(f"{item.place}: has no {CLOUD}, expected one")
-    cloud = Path(given["source"])
-    return f"{cloud.stem}.refined{_own_suffix(cloud, given.get('mode', 'points'))}"
-
-
-def _own_suffix(cloud: Path, mode: str) -> str:
-    return output_suffix(cloud) if mode == "points" else ".ply"
+    cloud = Path(options["source"])
+    return f"{cloud.stem}.refined{own_suffix(cloud, options.get('mode', 'points'))}"
 
 
 def _below(item: Item, title: str, name: str) -> str:
@@ -196,23 +170,23 @@ def _below(item: Item, title: str, name: str) -> str:
             f"{item.place}: {title} is {plain(name)}, expected a name below the folder of -o; "
             f"only {OUTPUT} may be an address"
         )
-    plainly = path.as_posix()
-    of_batch = plainly == INDEX or (plainly.startswith(f"{PICTURES}/") and plainly.endswith(".png"))
-    if of_batch or (title != OUTPUT and plainly.endswith(record_of(""))):
+    file = path.as_posix()
+    of_page = file == INDEX or (file.startswith(f"{PICTURES}/") and file.endswith(".png"))
+    if of_page or (title != OUTPUT and file.endswith(record_of(""))):
         raise InputError(
             f"{item.place}: {title} is {plain(name)}, which tso batch writes itself, expected "
             "another name"
         )
-    return plainly
+    return file
 
 
-def _check(item: Item, given: Given, name: str) -> None:
+def _check(item: Item, options: ItemOptions, name: str) -> None:
     """Raise InputError with row and column for what `tso refine` does not take; reads no file."""
     with prefixed(f"{item.place}: "):
-        chosen = options_of(given)
+        refine_options = options_of(options)
         with prefixed(f"{OUTPUT}: "):
-            check_suffix(Path(name), _own_suffix(chosen.source, chosen.mode))
-        for written in NAMED:
-            if (file := getattr(chosen, written)) is not None:
-                with prefixed(f"{written.replace('_', '-')}: "):
-                    require_suffix(file, OUTPUTS[written].suffix)
+            check_suffix(Path(name), own_suffix(refine_options.source, refine_options.mode))
+        for option in NAMED:
+            if (file := getattr(refine_options, option)) is not None:
+                with prefixed(f"{option.replace('_', '-')}: "):
+                    require_suffix(file, OUTPUTS[option].suffix)

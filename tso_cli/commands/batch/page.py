@@ -29,7 +29,7 @@ def write_index(output: Path) -> Path:
     """Write the page of all items of all journals in ``output``, each with its last end."""
     past = read_journals(sorted(output.glob(f"*{NAME}")))
     path = output / INDEX
-    rows = [_row(output, one.end) for one in past.values() if one.end]
+    rows = [_row(output, item.end) for item in past.values() if item.end]
     write_file(path, index_page(rows, NO_PICTURES).encode(), overwrite=True)
     return path
 

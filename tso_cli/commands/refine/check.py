@@ -18,50 +18,53 @@ from ...optimisation.config import Settings
 from ...refinement.run import check
 from ...scene.load import Scene
 from ...version import __version__
-from .. import options
+from ..options import echo_json
 from .sentences import Words
 from .sentences_of_moves import move_document, reading_of, words_of_move
 
 
 def check_scene(
-    scene: Scene, settings: Settings, words: Words, as_json: bool, quiet: bool, warned: list[str]
+    scene: Scene, settings: Settings, words: Words, messages: list[str], as_json: bool, quiet: bool
 ) -> str:
     """Print cameras, scale and overlap. Returns what looks wrong, or "".
 
-    ``warned`` collects the warnings so far and those to come. Raises InputError where cloud and
-    mask do not overlap.
+    ``messages`` collects the warnings of the run. Raises InputError where cloud and mask do not
+    overlap.
     """
-    apart, move = None, None
+    no_overlap, move = None, None
     try:
         with blas.one_thread():
             diagnosis, cloud, move = check(scene.given, settings)
     except NoOverlapError as error:
-        apart, diagnosis, cloud = words.no_overlap(error), error.diagnosis, error.cloud
+        no_overlap, diagnosis, cloud = words.no_overlap(error), error.diagnosis, error.cloud
     for text in words.notes(diagnosis.notes):
         warnings.warn(text, stacklevel=1)
     if move and (reading := reading_of(move, settings.move, cloud.body.points)):
         warnings.warn(reading, stacklevel=1)
     suspicion = words.suspicion(diagnosis.suspicious)
-    if suspicion and not apart:
-        warnings.warn(suspicion, stacklevel=1)
+    if suspicion and no_overlap:
+        messages.append(suspicion)  # the error says it too
     elif suspicion:
-        # The error says it too.
-        warned.append(suspicion)
-    unsure = [one.says for one in diagnosis.notes if one.name in UNSURE]
-    reason = suspicion or "".join(unsure)
+        warnings.warn(suspicion, stacklevel=1)
+    reason = suspicion or "".join(note.says for note in diagnosis.notes if note.name in UNSURE)
     if as_json:
-        suspects = [words.what_and_option(finding) for finding in diagnosis.suspicious]
-        verdict = "doubtful" if reason else None
-        trust = verdict_document(None, verdict, reason, warned, suspects)
-        moved = move_document(move) if move else {}
-        document = {**_document(scene, cloud, diagnosis), **moved, **trust}
-        options.echo_json({**document, "version": __version__})
+        document = {
+            **_document(scene, cloud, diagnosis),
+            **(move_document(move) if move else {}),
+            "confidence": None,
+            "verdict": "doubtful" if reason else None,
+            "reason": reason,
+            "warnings": messages,
+            "suspects": words.suspects(diagnosis.suspicious),
+            "version": __version__,
+        }
+        echo_json(document)
     elif not quiet:
         _print(scene, cloud, diagnosis)
         if move and (how := words_of_move(move, cloud.body.points)):
             click.echo(f"moves       {how}; the numbers are those after it")
-    if apart:
-        raise apart
+    if no_overlap:
+        raise no_overlap
     return reason
 
 
@@ -72,31 +75,17 @@ def camera_document(camera: Camera, source: str) -> dict[str, Any]:
     return {"source": source, **shape, **arrays}
 
 
-def verdict_document(
-    confidence: float | None,
-    verdict: str | None,
-    reason: str,
-    warned: list[str],
-    suspects: list[dict[str, Any]],
-) -> dict[str, Any]:
-    """What a user of many objects looks at first."""
-    return {
-        "confidence": confidence,
-        "verdict": verdict,
-        "reason": reason,
-        "warnings": warned,
-        "suspects": suspects,
-    }
-
-
 def _document(scene: Scene, cloud: ControlledCloud, diagnosis: Diagnosis) -> dict[str, Any]:
-    views = []
-    for view, source, placement in zip(
-        scene.views, scene.camera_sources, diagnosis.placements, strict=True
-    ):
-        camera = camera_document(view.camera, source)
-        placed = {"placement": vars(placement), "meets": placement.meets}
-        views.append({"mask": view.name, "camera": camera, **placed})
+    rows = zip(scene.views, scene.camera_sources, diagnosis.placements, strict=True)
+    views = [
+        {
+            "mask": view.name,
+            "camera": camera_document(view.camera, source),
+            "placement": vars(placement),
+            "meets": placement.meets,
+        }
+        for view, source, placement in rows
+    ]
     points = cloud.control_points
     return {
         "camera": views[0]["camera"],
@@ -145,7 +134,7 @@ def _print_view(camera: Camera, source: str, size: Array, placement: Placement) 
     )
     if placement.points_box is not None:
         click.echo(f"silhouette  {describe_box(placement.points_box)}")
-    verdict = (
-        "they meet" if placement.meets else f"they do not meet (expected over {LEAST_BOX_IOU})"
+    apart = f"they do not meet (expected over {LEAST_BOX_IOU})"
+    click.echo(
+        f"boxes       IoU {placement.box_iou:.3f}: {'they meet' if placement.meets else apart}"
     )
-    click.echo(f"boxes       IoU {placement.box_iou:.3f}: {verdict}")

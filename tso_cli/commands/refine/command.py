@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from .. import options
+from ..options import CONFIG, PATH, Warnings, command_line, explicit_options, loading
+from ..options import command as command_of
 from .options import RefineOptions
 
 
@@ -17,9 +18,9 @@ def _config(ctx: click.Context, parameter: click.Parameter, path: Path | None) -
         read_config(ctx, path)
 
 
-CONFIG = click.Option(
+CONFIG_OPTION = click.Option(
     ["--config"],
-    type=options.PATH,
+    type=PATH,
     is_eager=True,
     expose_value=False,
     callback=_config,
@@ -27,8 +28,8 @@ CONFIG = click.Option(
 )
 
 
-@options.command("refine", RefineOptions, CONFIG)
-def command(ctx: click.Context, chosen: RefineOptions) -> None:
+@command_of("refine", RefineOptions, CONFIG_OPTION)
+def command(ctx: click.Context, options: RefineOptions) -> None:
     """Make a point cloud agree with masks and write the refined cloud.
 
     \b
@@ -43,15 +44,16 @@ def command(ctx: click.Context, chosen: RefineOptions) -> None:
     A .ply, .glb, .gltf or .obj file comes out with other coordinates; all other attributes stay. A
     large cloud, or the surface of a mesh, moves by 1,024 control points; all other points follow.
     """
-    warned = ctx.with_resource(options.Warnings(chosen.quiet)).texts
-    with options.loading():
+    messages = ctx.with_resource(Warnings(options.quiet)).texts
+    with loading():
         from .run import RefineRun
-    if options.CONFIG in ctx.meta:
+    config = []
+    if CONFIG in ctx.meta:
         from .record import warn_of_changes
 
-        warn_of_changes(ctx, chosen)
-    typed = options.given(ctx, click.core.ParameterSource.DEFAULT_MAP)
-    config = ["--config", str(ctx.meta[options.CONFIG])] if options.CONFIG in ctx.meta else []
-    line = options.command_line("refine", RefineOptions, typed, *config)
-    run = RefineRun(chosen, options.given(ctx), warned, line)
-    ctx.exit(run.check() if chosen.check else run.refine())
+        warn_of_changes(ctx, options)
+        config = ["--config", str(ctx.meta[CONFIG])]
+    typed = explicit_options(ctx, click.core.ParameterSource.DEFAULT_MAP)
+    line = command_line("refine", RefineOptions, typed, *config)
+    run = RefineRun(options, explicit_options(ctx), messages, line)
+    ctx.exit(run.check() if options.check else run.refine())

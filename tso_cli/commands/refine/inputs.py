@@ -43,10 +43,10 @@ class RefineInputs:
         options = self.options
         cameras = [options.camera] if options.camera else map(find_camera, self.masks)
         prior = None if is_word("prior", options.prior) else options.prior
-        single = [*([] if options.fit else cameras), options.intrinsics, self.checkpoint, prior]
-        given = [Path(path) for path in single if path is not None]
-        several = [*options.ignore, *options.depth, *options.image]
-        return [options.source, *self.masks, *given, *several]
+        optional = [*([] if options.fit else cameras), options.intrinsics, self.checkpoint, prior]
+        files = [Path(file) for file in optional if file is not None]
+        images = [*options.ignore, *options.depth, *options.image]
+        return [options.source, *self.masks, *files, *images]
 
     @property
     def view_files(self) -> ViewFiles:

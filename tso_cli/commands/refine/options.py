@@ -235,15 +235,10 @@ class RefineOptions(RefineConfig):
 
     def config(self, **more: Any) -> RefineConfig:
         """The settings of the method, with ``more``."""
-        chosen = {field.name: getattr(self, field.name) for field in fields(RefineConfig)} | more
+        settings = {field.name: getattr(self, field.name) for field in fields(RefineConfig)}
         if self.refine_camera:
-            chosen["move"] = "camera"
-        return RefineConfig(**chosen)
-
-
-def role_of(name: str) -> str:
-    """What an option of `tso refine` says (`Option.role`)."""
-    return declared(RefineOptions)[name].option.role
+            settings["move"] = "camera"
+        return RefineConfig(**settings | more)
 
 
 def is_word(name: str, value: Any) -> bool:
@@ -251,6 +246,7 @@ def is_word(name: str, value: Any) -> bool:
     return str(value) in declared(RefineOptions)[name].option.words
 
 
-def without_roles(given: Mapping[str, Any], *roles: str) -> dict[str, Any]:
-    """The options of all other roles."""
-    return {name: value for name, value in given.items() if role_of(name) not in roles}
+def without_roles(values: Mapping[str, Any], *roles: str) -> dict[str, Any]:
+    """The ``values`` of the options whose role (`Option.role`) is another."""
+    table = declared(RefineOptions)
+    return {name: v for name, v in values.items() if table[name].option.role not in roles}

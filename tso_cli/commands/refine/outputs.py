@@ -5,26 +5,27 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
-from functools import cached_property
 from os.path import splitext
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import click
+
 from ...errors import InputError
-from ...geometry.arrays import Pixels
 from ...io.cameras import CameraRecord, camera_text
 from ...io.clouds import NEW, check_suffix, output_suffix, write_cloud
 from ...io.output import atomic_output, check_output
-from ...refinement import RefineResult
-from ...scene.load import Scene
 from ..options import require_output
-from .inputs import RefineInputs
 from .options import RefineOptions
+from .report import RefineReport
 
 if TYPE_CHECKING:
     from ...plots.recording import Iterates
-    from .report import RefineReport
+
+
+def own_suffix(source: Path, mode: str) -> str:
+    """The suffix of the input, if it is written again with other points."""
+    return output_suffix(source) if mode == "points" else ".ply"
 
 
 def record_of(result: str) -> str:
@@ -32,63 +33,39 @@ def record_of(result: str) -> str:
     return f"{splitext(result)[0]}.record.json"
 
 
-@dataclass(frozen=True)
-class Finished:
-    """A run whose files are written.
-
-    report : makes what page and record say, and the warnings. command : the line for a shell.
-    iterates : for --rerun.
-    """
-
-    result: RefineResult
-    scene: Scene
-    inputs: RefineInputs
-    report: Callable[[], tuple[RefineReport, list[str]]]
-    command: str
-    iterates: Iterates | None
-
-    @cached_property
-    def photos(self) -> list[Pixels | None]:
-        from ...scene.photos import photos_of
-
-        return photos_of(self.scene, self.inputs.view_files, self.inputs.options.fit)
-
-
-def _write_overlay(path: Path, run: Finished) -> None:
+def _write_overlay(path: Path, report: RefineReport) -> None:
     from ...plots.overlay import draw_overlay
 
-    draw_overlay(path, run.result, run.scene.views, run.photos)
+    draw_overlay(path, report.result, report.scene.views, report.photos)
 
 
-def _write_page(path: Path, run: Finished) -> None:
+def _write_page(path: Path, report: RefineReport) -> None:
     from ...plots.page import write_page
 
-    report, warned = run.report()
-    write_page(path, run.result, run.scene, run.photos, report.page(warned, run.command))
+    write_page(path, report.result, report.scene, report.photos, report.page())
 
 
-def _write_recording(path: Path, run: Finished) -> None:
+def _write_recording(path: Path, report: RefineReport) -> None:
     from ...plots.recording import write_recording
 
-    if run.iterates is not None:
-        lines = run.report()[0].summary()
-        write_recording(path, run.result, run.scene, run.photos, run.iterates, lines)
+    result, scene, lines = report.result, report.scene, report.summary()
+    if report.iterates is not None:
+        write_recording(path, result, scene, report.photos, report.iterates, lines)
 
 
-def _write_record(path: Path, run: Finished) -> None:
-    report, warned = run.report()
-    path.write_text(report.record(warned, run.command), encoding="utf-8")
+def _write_record(path: Path, report: RefineReport) -> None:
+    path.write_text(report.record(), encoding="utf-8")
 
 
-def _write_cameras(path: Path, run: Finished) -> None:
-    pairs = zip(run.result.cameras, run.inputs.masks, strict=True)
+def _write_cameras(path: Path, report: RefineReport) -> None:
+    pairs = zip(report.result.cameras, report.inputs.masks, strict=True)
     records = [CameraRecord(camera, mask) for camera, mask in pairs]
     path.write_text(camera_text(path, records), encoding="utf-8")
 
 
-def _write_transform(path: Path, run: Finished) -> None:
+def _write_transform(path: Path, report: RefineReport) -> None:
     document = {
-        "matrix": run.result.move.matrix.tolist(),
+        "matrix": report.result.move.matrix.tolist(),
         "convention": "x' = matrix x, for columns x = (x, y, z, 1) in the units of the cloud",
     }
     path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
@@ -99,7 +76,7 @@ class Output(NamedTuple):
 
     suffix: str
     word: str
-    write: Callable[[Path, Finished], None]
+    write: Callable[[Path, RefineReport], None]
 
 
 OUTPUTS = {
@@ -111,6 +88,7 @@ OUTPUTS = {
     "write_transform": Output(".json", "transform", _write_transform),
 }
 """What is written next to the result, by the name of its option."""
+WITH_PHOTOS = {"overlay", "report", "rerun"}
 NAMED = tuple(name for name in OUTPUTS if name != "record")
 """Those whose names the options say; that of the record follows from that of the result."""
 
@@ -118,44 +96,42 @@ NAMED = tuple(name for name in OUTPUTS if name != "record")
 class RefineOutputs:
     """What is written: the result, and the files next to it.
 
-    own_suffix : of the input, if it is written again with other points. record : its name, or None.
+    files : all that are written, by the names of their options. next_to_it : without the result.
     """
 
     def __init__(self, options: RefineOptions) -> None:
         self.options = options
-        self.own_suffix = output_suffix(options.source) if options.mode == "points" else ".ply"
-        self.output = options.output or Path(f"{options.source.stem}.refined{self.own_suffix}")
-        self.record = Path(record_of(str(self.output))) if options.record else None
-
-    @property
-    def others(self) -> dict[str, Path]:
-        """The files next to the result that were asked for, by their options."""
-        files = {name: getattr(self.options, name) for name in NAMED} | {"record": self.record}
-        return {name: files[name] for name in OUTPUTS if files[name] is not None}
+        self._suffix = own_suffix(options.source, options.mode)
+        self.output = options.output or Path(f"{options.source.stem}.refined{self._suffix}")
+        files = {name: getattr(options, name) for name in NAMED}
+        files["record"] = Path(record_of(str(self.output))) if options.record else None
+        self.next_to_it: dict[str, Path] = {
+            name: files[name] for name in OUTPUTS if files[name] is not None
+        }
+        self.files = {"output": self.output, **self.next_to_it}
 
     def check(self, inputs: list[Path]) -> None:
         """InputError for an output that cannot be written or would replace another file."""
-        check_suffix(self.output, self.own_suffix)
-        if self.options.point_confidence and self.output.suffix.lower() != ".ply":
-            raise self._of_suffix(".ply to hold --point-confidence")
-        if self.options.crop and self.output.suffix.lower() not in NEW:
-            raise self._of_suffix(f"{' or '.join(NEW)} for --crop")
+        check_suffix(self.output, self._suffix)
+        for is_asked, suffixes, why in (
+            (self.options.point_confidence, (".ply",), "to hold --point-confidence"),
+            (self.options.crop, NEW, "for --crop"),
+        ):
+            if is_asked and self.output.suffix.lower() not in suffixes:
+                raise InputError(
+                    f"{self.output}: the suffix is {self.output.suffix!a}, expected "
+                    f"{' or '.join(suffixes)} {why}; write another file: -o {self.output.stem}.ply"
+                )
         check_output(self.output, self.options.overwrite)
         # A result that replaces its own input is checked by --overwrite.
-        taken = {self.output.resolve(): "another file of this command"}
-        taken |= {path.resolve(): "an input" for path in inputs}
-        for name, file in self.others.items():
+        owners = {self.output.resolve(): "another file of this command"}
+        owners |= {path.resolve(): "an input" for path in inputs}
+        for name, file in self.next_to_it.items():
             require_output(file, OUTPUTS[name].suffix, self.options.overwrite)
-            if whose := taken.get(file.resolve()):
+            if owner := owners.get(file.resolve()):
                 option = "-o" if name == "record" else f"--{name.replace('_', '-')}"
-                raise InputError(f"{file}: is {whose}, expected another name for {option}")
-            taken[file.resolve()] = "another file of this command"
-
-    def _of_suffix(self, expected: str) -> InputError:
-        return InputError(
-            f"{self.output}: the suffix is {self.output.suffix!a}, expected {expected}; write "
-            f"another file: -o {self.output.stem}.ply"
-        )
+                raise InputError(f"{file}: is {owner}, expected another name for {option}")
+            owners[file.resolve()] = "another file of this command"
 
     def recorder(self) -> Iterates | None:
         """What keeps the steps for --rerun; fails at once where rerun is not installed."""
@@ -167,19 +143,25 @@ class RefineOutputs:
 
         return Iterates()
 
-    def write(self, run: Finished) -> None:
+    def write(self, report: RefineReport) -> None:
         """Write all files, or none: the others take their names once the cloud is written."""
-        result, overwrite = run.result, self.options.overwrite
+        result, scene, overwrite = report.result, report.scene, self.options.overwrite
         with ExitStack() as stack:
-            for name, file in self.others.items():
-                OUTPUTS[name].write(stack.enter_context(atomic_output(file, overwrite)), run)
+            for name, file in self.next_to_it.items():
+                OUTPUTS[name].write(stack.enter_context(atomic_output(file, overwrite)), report)
             self.check([])  # before the first of them takes its name
             write_cloud(
                 self.output,
-                run.scene.to_output(result.points),
-                like=run.scene.file,
+                scene.to_output(result.points),
+                like=scene.file,
                 overwrite=overwrite,
                 matrix=result.move.matrix,
                 confidence=result.point_confidence,
                 kept=~result.outliers if self.options.crop and result.outliers.any() else None,
             )
+
+    def print_names(self) -> None:
+        """Name the files next to the result that `Output` has a word for."""
+        for name, file in self.next_to_it.items():
+            if word := OUTPUTS[name].word:
+                click.echo(f"{file}: {word}")

@@ -6,18 +6,18 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
 from ...errors import InputError
 from ...io.reading import digest_of, plain, shown
 from ...version import __version__
-from .. import options
 from ..option_files import read_options, set_defaults
+from ..options import CONFIG
+from .inputs import RefineInputs
 from .options import RefineOptions, is_word, without_roles
 
 SCHEMA = 1
@@ -27,31 +27,26 @@ _RECORD = "tso.record"
 """Key of a context's ``meta``: the `_Record` that --config names."""
 
 
-@dataclass(frozen=True)
-class _Record:
+class _Record(NamedTuple):
     path: Path
     version: str
     inputs: dict[str, str]  # absolute path -> digest
 
 
-def key_of(given: Mapping[str, Any], digests: Iterable[str]) -> str:
-    """What no other run has: the version, the options given, and the files' contents."""
-    settings = {
-        name: str(value) if is_word(name, value) else value
-        for name, value in sorted(without_roles(given, "output", "run").items())
-        if is_word(name, value) or not _has_path(value)
-    }
+def key_of(explicit: Mapping[str, Any], digests: Iterable[str]) -> str:
+    """What no other run has: the version, the options that were given, the files' contents."""
+    settings = {}
+    for name, value in sorted(without_roles(explicit, "output", "run").items()):
+        values = value if isinstance(value, (tuple, list)) else (value,)
+        if is_word(name, value):
+            settings[name] = str(value)
+        elif not any(isinstance(item, Path) for item in values):
+            settings[name] = value
     text = json.dumps([__version__, settings, list(digests)], default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _has_path(value: Any) -> bool:
-    return isinstance(value, Path) or (
-        isinstance(value, (tuple, list)) and any(isinstance(item, Path) for item in value)
-    )
-
-
-def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+def options_of(explicit: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """The options as a record stores them, with paths relative to its ``folder``."""
 
     def stored(value: Any) -> Any:
@@ -61,7 +56,7 @@ def options_of(given: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
     return {
         name: str(value) if is_word(name, value) else stored(value)
-        for name, value in without_roles(given, "run").items()
+        for name, value in without_roles(explicit, "run").items()
     }
 
 
@@ -76,7 +71,7 @@ def read_config(ctx: click.Context, path: Path) -> None:
     The file is a record, or TOML or JSON with names of options as its keys. Its paths are relative
     to its folder.
     """
-    ctx.meta[options.CONFIG] = path
+    ctx.meta[CONFIG] = path
     document = read_options(path, EXPECTED)
     if "schema" in document:
         ctx.meta[_RECORD] = _record(path, document)
@@ -93,25 +88,20 @@ def _record(path: Path, document: dict[str, Any]) -> _Record:
         )
     for key, kind in (("options", dict), ("inputs", dict), ("version", str)):
         if not isinstance(document.get(key), kind):
-            found = f"{key} is {shown(document[key])}" if key in document else f"has no {key}"
-            raise InputError(f"{path}: {found}, expected a record of --record")
-    inputs = document["inputs"]
-    for name, digest in inputs.items():
-        if not isinstance(digest, str):
-            raise InputError(
-                f"{path}: the hash of {plain(name)} is {shown(digest)}, expected SHA-256 in hex"
-            )
-    placed = {os.path.abspath(path.parent / name): digest for name, digest in inputs.items()}
-    return _Record(path, document["version"], placed)
+            fault = f"{key} is {shown(document[key])}" if key in document else f"has no {key}"
+            raise InputError(f"{path}: {fault}, expected a record of --record")
+    inputs = document["inputs"].items()
+    digests = {os.path.abspath(path.parent / name): digest for name, digest in inputs}
+    return _Record(path, document["version"], digests)
 
 
-def warn_of_changes(ctx: click.Context, chosen: RefineOptions) -> None:
+def warn_of_changes(ctx: click.Context, options: RefineOptions) -> None:
     """Warn of what differs from the run whose record --config names.
 
     Files that the command line names were not of that run.
     """
-    record = ctx.meta.get(_RECORD)
-    if not isinstance(record, _Record):
+    record: _Record | None = ctx.meta.get(_RECORD)
+    if record is None:
         return
     if record.version != __version__:
         warnings.warn(
@@ -119,35 +109,26 @@ def warn_of_changes(ctx: click.Context, chosen: RefineOptions) -> None:
             "may differ",
             stacklevel=2,
         )
-    for place, what in _changes(ctx, chosen, record):
-        path = os.path.relpath(place)
-        warnings.warn(f"{path}: {what} {record.path}, so the result may differ", stacklevel=2)
-
-
-def _changes(
-    ctx: click.Context, chosen: RefineOptions, record: _Record
-) -> Iterator[tuple[str, str]]:
-    """Each file that differs from the record, by its absolute path, and in what."""
-    from .inputs import RefineInputs
-
-    inputs = RefineInputs(chosen)
-    typed = list(_typed(ctx))
-    read = {os.path.abspath(path): path for path in inputs.files if path not in typed}
-    digests = {place: digest_of(path) for place, path in read.items() if path.exists()}
+    typed = [
+        path
+        for name, value in without_roles(ctx.params, "output", "run").items()
+        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        for path in (value if isinstance(value, tuple) else (value,))
+        if isinstance(path, Path)
+    ]
+    files = [path for path in RefineInputs(options).files if path not in typed]
+    places = set(map(os.path.abspath, files))
+    digests = {os.path.abspath(path): digest_of(path) for path in files if path.exists()}
+    changes = {}
     for place, digest in digests.items():
         if record.inputs.get(place, digest) != digest:
-            yield place, "has changed since"
+            changes[place] = "has changed since"
         # A file that was moved has its digest in the record.
         elif place not in record.inputs and digest not in record.inputs.values() and not typed:
-            yield place, "is no input of"
+            changes[place] = "is no input of"
     for place, digest in record.inputs.items():
-        if place not in read and digest not in digests.values() and not typed:
-            yield place, "is not read now, but is an input of"
-
-
-def _typed(ctx: click.Context) -> Iterator[Path]:
-    """The input files that are given on the command line."""
-    for name, value in without_roles(ctx.params, "output", "run").items():
-        if ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            values = value if isinstance(value, tuple) else (value,)
-            yield from (path for path in values if isinstance(path, Path))
+        if place not in places and digest not in digests.values() and not typed:
+            changes[place] = "is not read now, but is an input of"
+    for place, what in changes.items():
+        path = os.path.relpath(place)
+        warnings.warn(f"{path}: {what} {record.path}, so the result may differ", stacklevel=2)

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
 from ...evaluation.footprint import IOU_MEANS
+from ...geometry.arrays import Pixels
 from ...geometry.camera import Camera
 from ...geometry.rotations import angle_between
 from ...geometry.view import View
+from ...io.reading import digest_of
 from ...io.shipped import LEARNED, NO_PRIOR
 from ...refinement.judge import CONTRADICTED_WEIGHT
 from ...refinement.result import RefineResult
 from ...scene.load import Scene
 from ...version import __version__
-from .. import options
-from .check import camera_document, verdict_document
+from ..options import json_text, json_values
+from .check import camera_document
 from .inputs import RefineInputs
-from .outputs import OUTPUTS, RefineOutputs
-from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, shown, why_unmoved
+from .record import SCHEMA, key_of, options_of, relative
+from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, two_places, why_unmoved
 from .sentences_of_moves import (
     alternatives_of,
     move_document,
@@ -34,6 +37,7 @@ from .sentences_of_moves import (
 
 if TYPE_CHECKING:
     from ...plots.page import PageWords
+    from ...plots.recording import Iterates
 
 CONVENTION = {
     "moved_mean": "displacement of a control point, as a share of the object's size, the longest "
@@ -80,29 +84,31 @@ def objective_of(result: RefineResult) -> str:
     return "mask Chamfer loss + position prior"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RefineReport:
-    """A result and what it was made from.
+    """A result, what it was made from, and what is said of it.
 
-    seconds : wall time of each phase. given : the options that were not left to their defaults.
+    explicit : the options that were not left to their defaults. command : the line for a shell.
+    files : what is written, by the names of the options; empty if nothing is.
+    photos : of the views, for pictures. iterates : for --rerun. seconds : wall time of each phase.
     """
 
     result: RefineResult
     scene: Scene
     inputs: RefineInputs
-    outputs: RefineOutputs
     words: Words
+    explicit: Mapping[str, Any]
+    command: str
+    files: Mapping[str, Path]
+    photos: Sequence[Pixels | None]
+    iterates: Iterates | None
     seconds: dict[str, float]
-    given: Mapping[str, Any]
+    warnings: list[str]
 
-    def document(self, warnings: list[str], written: bool = True) -> dict[str, Any]:
-        """The JSON document; ``written`` : whether the outputs are."""
+    def document(self) -> dict[str, Any]:
+        """The JSON document."""
         result, fit, settings = self.result, self.result.fit, self.result.settings
         views = self._views()
-        suspects = [
-            self.words.what_and_option(one) for one in self.words.suspicious(result.findings)
-        ]
-        trust, reason = result.trust, self.words.reason(result)
         document = {
             "mode": settings.mode,
             "preset": settings.preset,
@@ -119,18 +125,21 @@ class RefineReport:
             "checkpoint": self.inputs.checkpoint,
             "assume": list(self.inputs.options.assume),
             "inputs": self.inputs.files,
-            "options": dict(self.given),
-            "output": self.outputs.output if written else None,
+            "options": dict(self.explicit),
             **{
-                name: self.outputs.others.get(name) if written else None
-                for name in ("overlay", "report", "rerun", "record")
+                name: self.files.get(name)
+                for name in ("output", "overlay", "report", "rerun", "record")
             },
             "camera": views[0]["camera"],
             "views": views,
             "frame": self.scene.frame,
             "points": len(result.points),
             "outliers": int(result.outliers.sum()),
-            **verdict_document(trust.confidence, trust.verdict, reason, warnings, suspects),
+            "confidence": result.trust.confidence,
+            "verdict": result.trust.verdict,
+            "reason": self.words.reason(result),
+            "warnings": self.warnings,
+            "suspects": self.words.suspects(result.findings),
             "moved": result.moved,
             "determined": result.determined,
             **move_document(result.move),
@@ -168,10 +177,7 @@ class RefineReport:
 
     @cached_property
     def corrections(self) -> list[tuple[View, Camera, float, float]]:
-        """For each view: the moved camera, its turn in degrees, and the cloud's shift.
-
-        The shift is relative to the cloud's distance.
-        """
+        """For each view its moved camera, the turn in degrees, and the shift by the distance."""
         start = self.result.measured[0]
         middle = (start.min(0) + start.max(0)) / 2.0
         rows = []
@@ -181,41 +187,36 @@ class RefineReport:
             rows.append((view, camera, float(angle_between(view.camera.R, camera.R)), shift))
         return rows
 
-    def record(self, warnings: list[str], command: str) -> str:
+    def record(self) -> str:
         """The record of the run as JSON: the document, and its key, which no other run has."""
-        from ...io.reading import digest_of
-        from .record import SCHEMA, key_of, options_of, relative
-
-        assert self.outputs.record
-        folder = self.outputs.record.parent
+        folder = self.files["record"].parent
         digests = {relative(path, folder): digest_of(path) for path in self.inputs.files}
         record = {
             "schema": SCHEMA,
-            "command": command,
-            "key": key_of(self.given, digests.values()),
-            **self.document(warnings),
+            "command": self.command,
+            "key": key_of(self.explicit, digests.values()),
+            **self.document(),
             "inputs": digests,
-            "options": options_of(self.given, folder),
+            "options": options_of(self.explicit, folder),
         }
-        return options.json_text(record) + "\n"
+        return json_text(record) + "\n"
 
-    def page(self, warnings: list[str], command: str) -> PageWords:
+    def page(self) -> PageWords:
         """The words of the page: the lines that are printed, the document, and the command."""
         from ...plots.page import PageWords
 
         lines = self.summary()
-        del lines["used"]
         return PageWords(
             title=self.inputs.options.source.name,
-            written=lines.pop(""),
+            written=lines[""],
             lines=lines,
             used=self._used(),
             verdict=VERDICTS[self.result.trust.verdict or ""],
             reason=self.words.reason(self.result),
-            warnings=warnings,
+            warnings=self.warnings,
             mirror=self._mirror(),
-            command=command,
-            document=options.plain(self.document(warnings)),
+            command=self.command,
+            document=json_values(self.document()),
         )
 
     def summary(self) -> dict[str, str]:
@@ -224,7 +225,7 @@ class RefineReport:
         masks = f"masks, mean of {count}" if count > 1 else "mask"
         iou = f"{fit.iou_before:.3f} -> {fit.iou_after:.3f}"
         return {
-            "": f"{self.outputs.output}: {self._written():,} {self._follow()}",
+            "": f"{self.files['output']}: {self._written()}",
             "IoU": f"{iou} with the {masks} ({self._verdict()})",
             "moved": self._moved(),
             "used": "; ".join(self._used()),
@@ -243,32 +244,28 @@ class RefineReport:
         return [part for part in parts if part]
 
     def print_summary(self) -> None:
-        """`summary` and the other files."""
         for name, text in self.summary().items():
             click.echo(f"  {name:7}{text}" if name else text)
-        for name, path in self.outputs.others.items():
-            if word := OUTPUTS[name].word:
-                click.echo(f"{path}: {word}")
 
-    def _written(self) -> int:
-        outliers = int(self.result.outliers.sum()) if self.inputs.options.crop else 0
-        return len(self.result.points) - outliers
-
-    def _follow(self) -> str:
+    def _written(self) -> str:
+        """How many points were written, and what they follow."""
         result = self.result
+        count, outliers = len(result.points), int(result.outliers.sum())
+        written = count - outliers if self.inputs.options.crop else count
         if result.of_mesh:
-            return f"vertices, which follow {result.control_points:,} points of the faces"
-        if result.control_points < len(result.points) - int(result.outliers.sum()):
-            return f"points, which follow {result.control_points:,} of them"
-        return "points"
+            return (
+                f"{written:,} vertices, which follow {result.control_points:,} points of the faces"
+            )
+        if result.control_points < count - outliers:
+            return f"{written:,} points, which follow {result.control_points:,} of them"
+        return f"{written:,} points"
 
     def _verdict(self) -> str:
         trust = self.result.trust
         if trust.verdict is None:
             return "no confidence; a rising IoU proves nothing"
-        if trust.confidence is None:
-            return trust.verdict
-        return f"{trust.verdict}, confidence {shown(trust.confidence)}"
+        sure = "" if trust.confidence is None else f", confidence {two_places(trust.confidence)}"
+        return f"{trust.verdict}{sure}"
 
     def _moved(self) -> str:
         as_one = words_of_move(self.result.move, start_of(self.result))
@@ -305,14 +302,13 @@ class RefineReport:
     def _symmetry(self) -> str | None:
         if not self.result.fit.steps:
             return None
+        # Only the default preset in points mode assumes symmetry by default.
+        as_asked = "no mirror symmetry assumed, as asked" if self.result.settings.smooth else None
         return {
             "used": "assumed mirror-symmetric, as the cloud is",
             "given": "assumed mirror-symmetric, about the given plane",
             "none_found": "no mirror symmetry assumed: the cloud has none",
-            # Only the default preset in points mode assumes symmetry by default.
-            "not_asked": "no mirror symmetry assumed, as asked"
-            if self.result.settings.smooth
-            else None,
+            "not_asked": as_asked,
         }[self.result.symmetry.outcome]
 
     def _discounted(self) -> str | None:
@@ -340,9 +336,11 @@ class RefineReport:
                 f"  view   {view.iou_before:.3f} -> {view.iou_after:.3f}   inlier weight "
                 f"{view.inlier_weight:.2f}, {view.name}"
             )
-        for given, _, degrees, shift in self.corrections if result.move.kind == "camera" else ():
-            text = f"turned {degrees:.2f} degrees, shifted {100.0 * shift:.2f} % of its distance"
-            click.echo(f"  camera {text}   ({given.name})")
+        for moved_view, _, degrees, shift in (
+            self.corrections if result.move.kind == "camera" else ()
+        ):
+            how = f"turned {degrees:.2f} degrees, shifted {100.0 * shift:.2f} % of its distance"
+            click.echo(f"  camera {how}   ({moved_view.name})")
         if result.settings.move != "shape":
             click.echo(f"  as one {words_of_search(result.move)}")
         if result.determined is not None:

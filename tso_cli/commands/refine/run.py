@@ -6,7 +6,6 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 from ...diagnosis.assumptions import left_handed
@@ -15,11 +14,11 @@ from ...errors import GateError, InputError
 from ...geometry.arrays import Array
 from ...io.reading import require_memory
 from ...refinement import RefineResult, refine
-from .. import options
+from ..options import ProgressBar, echo_json, log, naming
 from .check import check_scene
 from .inputs import RefineInputs
 from .options import RefineOptions
-from .outputs import Finished, RefineOutputs
+from .outputs import WITH_PHOTOS, RefineOutputs
 from .report import RefineReport
 from .sentences import Words
 
@@ -34,143 +33,137 @@ INTERRUPTED = 130
 class RefineRun:
     """What the options ask for, read and checked.
 
-    ``given`` are those of the ``options`` that were not left to their defaults. ``warned`` collects
-    the warnings of the run. ``line`` is the command for a shell.
+    explicit : those of the options that were not left to their defaults. messages : the warnings of
+    the run, which collects them. line : the command for a shell.
     """
 
     def __init__(
-        self, chosen: RefineOptions, given: Mapping[str, Any], warned: list[str], line: str
+        self, options: RefineOptions, explicit: Mapping[str, Any], messages: list[str], line: str
     ) -> None:
         self._started = time.perf_counter()
-        self._options, self._given, self._warned, self._line = chosen, given, warned, line
-        self._inputs, self._outputs = RefineInputs(chosen), RefineOutputs(chosen)
-        if not chosen.check:
+        self._options, self._explicit = options, explicit
+        self._messages, self._line = messages, line
+        self._inputs, self._outputs = RefineInputs(options), RefineOutputs(options)
+        self._iterates = None
+        if not options.check:
             self._outputs.check(self._inputs.files)
-        self._iterates = None if chosen.check else self._outputs.recorder()
+            self._iterates = self._outputs.recorder()
         self._scene = self._inputs.load()
-        if chosen.verbose or (chosen.check and not chosen.quiet):
-            self._log_sources()
-        of_paper = chosen.sigma_sq is None and chosen.preset == "paper"
-        self._config = chosen.config(**{"sigma_sq": self._scene.sigma_sq} if of_paper else {})
+        if options.verbose or (options.check and not options.quiet):
+            if self._inputs.checkpoint is not None:
+                log(f"tso: checkpoint: {self._inputs.checkpoint}")
+            log(f"tso: camera: {', '.join(dict.fromkeys(self._scene.camera_sources))}")
+        by_scene = options.sigma_sq is None and options.preset == "paper"
+        self._config = options.config(**{"sigma_sq": self._scene.sigma_sq} if by_scene else {})
         self._settings = self._config.settings()
         self._words = Words(
             [view.name for view in self._scene.views],
-            chosen.invert_mask,
-            [str(file) for file in chosen.depth],
-            chosen.depth_scale or 1.0,
+            options.invert_mask,
+            [str(file) for file in options.depth],
+            options.depth_scale or 1.0,
             may_turn=self._settings.move in ("auto", "shape"),
             accepting=self._settings.accept_doubtful,
         )
 
     def check(self) -> int:
         """Examine the input alone; the exit code."""
+        options = self._options
         reason = check_scene(
-            self._scene,
-            self._settings,
-            self._words,
-            self._options.as_json,
-            self._options.quiet,
-            self._warned,
+            self._scene, self._settings, self._words, self._messages, options.as_json, options.quiet
         )
-        if reason and self._options.strict:
-            raise GateError(f"{self._options.source}: the result would be doubtful: {reason}")
+        if reason and options.strict:
+            raise GateError(f"{options.source}: the result would be doubtful: {reason}")
         return 0
 
     def refine(self) -> int:
         """Refine, write the files and print the result; the exit code."""
-        report, refused = self.work()
-        self._print(report, refused)
-        if report.result.fit.stop_reason == "interrupted":
+        options, report = self._options, self.work()
+        result = report.result
+        if options.as_json:
+            echo_json(report.document())
+        if not report.files:
+            raise GateError(
+                f"{options.source}: the result is {result.trust.verdict or 'without confidence'}: "
+                f"{self._words.reason(result)}; with --strict nothing is written"
+            )
+        if not options.as_json and not options.quiet:
+            report.print_summary()
+            self._outputs.print_names()
+            if options.verbose:
+                report.print_details()
+        if result.fit.stop_reason == "interrupted":
             return INTERRUPTED
-        return LEFT if self._options.strict and not report.result.moved else 0
+        return LEFT if options.strict and not result.moved else 0
 
-    def work(self) -> tuple[RefineReport, bool]:
-        """Refine and write the files: the report, and whether --strict left them unwritten."""
-        self._require_writable_cameras()
-        read = time.perf_counter() - self._started
-        result = self._refined()
-        writing = time.perf_counter()
-        refused = self._options.strict and result.trust.verdict in ("doubtful", None)
-        if not refused:
-            seconds = {"read": read, **result.cost.seconds}
-            report = partial(self._words_so_far, result, seconds)
-            run = Finished(result, self._scene, self._inputs, report, self._line, self._iterates)
-            self._outputs.write(run)
-        finished = time.perf_counter()
-        for text in self._words.warnings(result, refused):
-            warnings.warn(text, stacklevel=1)
-        times = {"write": finished - writing, "total": finished - self._started}
-        return self._report(result, {"read": read, **result.cost.seconds, **times}), refused
-
-    def _log_sources(self) -> None:
-        if self._inputs.checkpoint is not None:
-            options.log(f"tso: checkpoint: {self._inputs.checkpoint}")
-        options.log(f"tso: camera: {', '.join(dict.fromkeys(self._scene.camera_sources))}")
-
-    def _require_writable_cameras(self) -> None:
-        """Refuse to write the cameras of a cloud with left-handed axes."""
-        path = self._options.write_camera
-        if path and left_handed(self._scene.given.assumptions):
+    def work(self) -> RefineReport:
+        """Refine and write the files; with --strict, a doubtful result has none."""
+        options, scene, started = self._options, self._scene, self._started
+        if options.write_camera and left_handed(scene.given.assumptions):
             raise InputError(
-                f"--write-camera {path}: the cloud has left-handed axes, which no camera has; "
-                f"found --assume {' '.join(self._options.assume)}, expected a cloud with "
+                f"--write-camera {options.write_camera}: the cloud has left-handed axes, which no "
+                f"camera has; found --assume {' '.join(options.assume)}, expected a cloud with "
                 "right-handed axes"
             )
+        seconds = {"read": time.perf_counter() - started}
+        result = self._result()
+        until_refined = time.perf_counter() - started
+        refused = options.strict and result.trust.verdict in ("doubtful", None)
+        for sentence in self._words.warnings(result, refused):
+            warnings.warn(sentence, stacklevel=1)
+        files = {} if refused else self._outputs.files
+        photos = []
+        if not WITH_PHOTOS.isdisjoint(files):
+            from ...scene.photos import photos_of
 
-    def _refined(self) -> RefineResult:
+            photos = photos_of(scene, self._inputs.view_files, options.fit)
+        seconds |= {**result.cost.seconds, "total": until_refined}
+        report = RefineReport(
+            result=result,
+            scene=scene,
+            inputs=self._inputs,
+            words=self._words,
+            explicit=self._explicit,
+            command=self._line,
+            files=files,
+            photos=photos,
+            iterates=self._iterates,
+            seconds=seconds,
+            warnings=self._messages,
+        )
+        if not refused:
+            self._outputs.write(report)
+        del seconds["total"]
+        total = time.perf_counter() - started
+        seconds |= {"write": total - until_refined, "total": total}
+        return report
+
+    def _result(self) -> RefineResult:
         """The result, with a progress bar on a terminal."""
-        scene, source, given = self._scene, self._options.source, self._scene.given
-        points_mode = self._options.mode == "points"
+        scene, options, iterates = self._scene, self._options, self._iterates
+        points_mode = options.mode == "points"
         if points_mode and self._settings.points is None:
-            require_memory(source, BYTES_OF_A_CONTROL_POINT * len(scene.points))
-        bar, iterates = options.ProgressBar("tso: refining"), self._iterates
-        bar_shown = sys.stderr.isatty() and not self._options.quiet
+            require_memory(options.source, BYTES_OF_A_CONTROL_POINT * len(scene.points))
+        bar, has_bar = ProgressBar("tso: refining"), sys.stderr.isatty() and not options.quiet
 
         def on_progress(step: int, total: int, loss: float, points: Array) -> None:
-            if bar_shown:
-                bar(step, total, f"steps, loss {loss:.6g}" if self._options.verbose else "steps")
+            if has_bar:
+                bar(step, total, f"steps, loss {loss:.6g}" if options.verbose else "steps")
             if iterates is not None:
                 iterates.add(step, loss, points)
 
         try:
-            with options.naming(source):
+            with naming(options.source):
                 return refine(
-                    given.cloud if points_mode else None,
-                    given.read,
+                    scene.given.cloud if points_mode else None,
+                    scene.given.read,
                     config=self._config,
-                    assume=given.assumptions,
+                    assume=scene.given.assumptions,
                     network=scene.network,
                     image=scene.image,
-                    known=given.known,
-                    progress=on_progress if bar_shown or iterates is not None else None,
+                    known=scene.given.known,
+                    progress=on_progress if has_bar or iterates is not None else None,
                 )
         except NoOverlapError as error:
             raise self._words.no_overlap(error) from None
         finally:
             bar.close()
-
-    def _report(self, result: RefineResult, seconds: dict[str, float]) -> RefineReport:
-        of_run = self._scene, self._inputs, self._outputs, self._words
-        return RefineReport(result, *of_run, seconds, self._given)
-
-    def _words_so_far(
-        self, result: RefineResult, seconds: dict[str, float]
-    ) -> tuple[RefineReport, list[str]]:
-        """What a page or a record says: of the seconds, those until now; and the warnings."""
-        so_far = {**seconds, "total": time.perf_counter() - self._started}
-        return self._report(result, so_far), [*self._warned, *self._words.warnings(result)]
-
-    def _print(self, report: RefineReport, refused: bool) -> None:
-        result = report.result
-        if self._options.as_json:
-            options.echo_json(report.document(self._warned, written=not refused))
-        if refused:
-            verdict = result.trust.verdict or "without confidence"
-            raise GateError(
-                f"{self._options.source}: the result is {verdict}: {self._words.reason(result)}; "
-                "with --strict nothing is written"
-            )
-        if not self._options.as_json and not self._options.quiet:
-            report.print_summary()
-            if self._options.verbose:
-                report.print_details()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
-from ...diagnosis.assumptions import INVERTED, Assumption
+from ...diagnosis.assumptions import INVERTED
 from ...diagnosis.examine import AXES_ADVICE, NoOverlapError
 from ...diagnosis.findings import ASSUMED_CAMERA, OF_DEPTH_MAPS, Finding
 from ...diagnosis.trust import FINDING
@@ -40,9 +41,7 @@ OPTIONS = {
     "pose": "--move pose if the camera is right",
     "shift": "--move pose if the camera is right",
 }
-ACCEPT = "--accept-doubtful"
-# What mends a wrong focal length: with one mask, and with several, which `--camera fit` refuses.
-FIT_FOCAL, EDIT_FOCAL = "--camera fit", "another focal length in the camera file"
+EDIT_FOCAL = "another focal length in the camera file"
 # What a verdict means; "" where there is none.
 VERDICTS = {
     "fits better": "The cloud moved and agrees better with the masks. Probably that does not harm: "
@@ -93,22 +92,24 @@ class Words:
         """What may be wrong with the input, and what to try; "" without findings."""
         if not findings:
             return ""
-        alternatives = bool(findings[0].hypotheses)
-        if not alternatives or len(findings[0].views) < len(self.names):
-            parts = map(self.what_and_option, findings)
-            return "; ".join(f"it looks as if {one['what']}: try {one['option']}" for one in parts)
-        first, *others = map(self.what_and_option, findings)
-        options = [first["option"], *(other["option"] for other in others)]
+        parts = list(map(self._what_and_option, findings))
+        if not findings[0].hypotheses or len(findings[0].views) < len(self.names):
+            return "; ".join(f"it looks as if {what}: try {option}" for what, option in parts)
+        # Each of the findings would explain the misfit alone.
+        options = [option for _, option in parts]
         if self.may_turn and any(map(_is_turned_cloud, findings)):
             options.append(ASK_FOR_A_TURN)
-        return f"it looks as if {first['what']}: try {', or '.join(options)}"
+        return f"it looks as if {parts[0][0]}: try {', or '.join(options)}"
 
-    def what_and_option(self, finding: Finding) -> dict[str, Any]:
+    def suspects(self, findings: Sequence[Finding]) -> list[dict[str, Any]]:
         """For JSON: what may be wrong in words, what mends it, and the IoU then (0: unknown)."""
-        what, option = self._parts(finding)
-        return {"what": what, "option": option, "score": finding.score}
+        suspects = []
+        for finding in filter(attrgetter("suspicious"), findings):
+            what, option = self._what_and_option(finding)
+            suspects.append({"what": what, "option": option, "score": finding.score})
+        return suspects
 
-    def _parts(self, finding: Finding) -> tuple[str, str]:
+    def _what_and_option(self, finding: Finding) -> tuple[str, str]:
         name = self.names[finding.views[0]] if finding.views else ""
         alone = len(finding.views) < len(self.names)
         if finding.name in OPTIONS:
@@ -116,8 +117,9 @@ class Words:
         if finding.name == "mispaired":
             return self._pairs(finding)
         if finding.without:
-            given = self._option(finding.without)
-            what, option = f"{given} is wrong", f"without {given}"
+            by_option = self.inverted and finding.without == INVERTED
+            wrong = "--invert-mask" if by_option else f"--assume {finding.without.text}"
+            what, option = f"{wrong} is wrong", f"without {wrong}"
             if alone and not finding.without.view:
                 option += f" for {name}"
         else:
@@ -130,42 +132,38 @@ class Words:
         values = dict(symptom.values)
         if "times" in values:
             values["scale"] = self.depth_scale / float(values["times"])
-        focal = FIT_FOCAL if len(self.names) == 1 else EDIT_FOCAL
+        # `--camera fit` refuses several masks.
+        focal = "--camera fit" if len(self.names) == 1 else EDIT_FOCAL
         option = OPTIONS[symptom.name].format(focal=focal, **values)
         # What was given already mends nothing more.
-        given = self.accepting and ACCEPT in option
-        return option.partition(", or ")[0] if given else option
-
-    def _option(self, assumption: Assumption) -> str:
-        by_option = self.inverted and assumption == INVERTED
-        return "--invert-mask" if by_option else f"--assume {assumption.text}"
+        accepted = self.accepting and "--accept-doubtful" in option
+        return option.partition(", or ")[0] if accepted else option
 
     def _pairs(self, finding: Finding) -> tuple[str, str]:
         names, pairs = self.names, finding.pairs
         if len(set(names)) < len(names):
             names = [f"view {number}" for number in range(1, len(names) + 1)]
-        shown = [
+        options = [
             f"{names[mask]} with the camera that {names[camera]} has now"
             for mask, camera in pairs[:MOST_PAIRS]
         ]
         if len(pairs) > MOST_PAIRS:
-            shown.append(f"and so on, {len(pairs)} in all")
+            options.append(f"and so on, {len(pairs)} in all")
         what = "masks and cameras are paired wrongly"
         if len(pairs) == len(names):
             # All views of a cloud that is turned show what other views show of a right one.
             what += ", or the cloud is turned"
-        return what, ", ".join(shown)
+        return what, ", ".join(options)
 
     def note(self, finding: Finding) -> str:
         """A finding that is worth reading."""
-        of_views = self.names
-        if self.depths and finding.name in OF_DEPTH_MAPS:
-            of_views = self.depths
-        names = ", ".join(of_views[view] for view in finding.views)
+        about_depth = self.depths and finding.name in OF_DEPTH_MAPS
+        names = self.depths if about_depth else self.names
+        files = ", ".join(names[view] for view in finding.views)
         option = OPTIONS_OF_NOTES.get(finding.name, "")
         if finding.name == "depth-unit":
             option = self._scale(float(finding.values["times"]))
-        return f"{f'{names}: ' if names else ''}{finding.says}{option}"
+        return f"{f'{files}: ' if files else ''}{finding.says}{option}"
 
     def _scale(self, times: float) -> str:
         """What mends a depth map whose values are ``times`` the depths."""
@@ -177,12 +175,7 @@ class Words:
 
     def notes(self, findings: Sequence[Finding]) -> list[str]:
         """A sentence for each finding that is no suspicion."""
-        suspicious = self.suspicious(findings)
-        return [self.note(finding) for finding in findings if finding not in suspicious]
-
-    def suspicious(self, findings: Sequence[Finding]) -> list[Finding]:
-        """What was found to be suspicious."""
-        return [finding for finding in findings if finding.suspicious]
+        return [self.note(finding) for finding in findings if not finding.suspicious]
 
     def no_overlap(self, error: NoOverlapError) -> InputError:
         """The error with advice by options."""
@@ -194,7 +187,7 @@ class Words:
         """Why a result is doubtful or has no confidence; "" if there is no reason."""
         trust = result.trust
         if trust.reason == FINDING:
-            return self.suspicion(self.suspicious(result.findings))
+            return self.suspicion(list(filter(attrgetter("suspicious"), result.findings)))
         return trust.says + (ADVICE_OF_CAMERA if trust.reason == "camera" else "")
 
     def warnings(self, result: RefineResult, refused: bool = False) -> list[str]:
@@ -202,30 +195,30 @@ class Words:
 
         Of a result that is ``refused``, an error says why.
         """
-        fit, trust, reason = result.fit, result.trust, self.reason(result)
+        fit, trust = result.fit, result.trust
         reading = reading_of(result.move, result.settings.move, start_of(result))
         messages = [text for text in (reading, _of_course(result)) if text]
         if trust.verdict == "doubtful" and not refused:
-            sure = ""
-            if trust.confidence is not None:
-                sure = f" (confidence {shown(trust.confidence)})"
-            taken = ", so the cloud is left as it was" if _withheld(fit) else ""
+            sure = (
+                f" (confidence {two_places(trust.confidence)})"
+                if trust.confidence is not None
+                else ""
+            )
+            effect = ", so the cloud is left as it was" if _withheld(fit) else ""
             if fit.outcome == "moved":
-                taken = ", and the points moved"
-            messages.append(f"the result is doubtful{sure}{taken}: {reason}")
+                effect = ", and the points moved"
+            messages.append(f"the result is doubtful{sure}{effect}: {self.reason(result)}")
         # A note that is the reason of the doubt is said once.
         notes = [finding for finding in result.findings if finding.name != trust.reason]
         return messages + self.notes(notes)
 
 
 def _is_turned_cloud(finding: Finding) -> bool:
-    if finding.without or len(finding.hypotheses) != 1:
-        return False
-    (hypothesis,) = finding.hypotheses
-    return hypothesis.turns
+    hypotheses = finding.hypotheses
+    return not finding.without and len(hypotheses) == 1 and hypotheses[0].turns
 
 
-def shown(confidence: float) -> str:
+def two_places(confidence: float) -> str:
     """With two places, rounded down: what is printed as 0.80 is not doubtful."""
     return f"{confidence:.4f}"[:4]
 

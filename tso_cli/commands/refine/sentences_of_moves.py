@@ -28,13 +28,13 @@ def alternatives_of(fitted: FittedCamera | None, move: Move) -> list[dict[str, A
         return [
             {
                 "pose_index": number,
-                "missed": one.missed,
-                "iou": one.iou,
-                "degrees": one.degrees,
-                "unlike_photo": one.unlike_photo,
-                **{name: getattr(one.camera, name).tolist() for name in ("K", "R", "t")},
+                "missed": pose.missed,
+                "iou": pose.iou,
+                "degrees": pose.degrees,
+                "unlike_photo": pose.unlike_photo,
+                **{name: getattr(pose.camera, name).tolist() for name in ("K", "R", "t")},
             }
-            for number, one in enumerate(fitted.alternatives, 1)
+            for number, pose in enumerate(fitted.alternatives, 1)
         ]
     return [
         {"missed": missed, "transform": matrix.tolist()} for missed, matrix in move.alternatives
@@ -68,13 +68,13 @@ def words_of_search(move: Move) -> str:
     if move.kind == "nothing":
         return f"no: {move.why_unmoved}"
     missed = f"the cloud misses {move.missed_before:.0%} of the contours as given"
-    left = f"{move.missed:.0%} after it moved as one"
-    return f"yes: {missed}, {left}{'' if move.explains else ': it does not explain the misfit'}"
+    after = f"{move.missed:.0%} after it moved as one"
+    return f"yes: {missed}, {after}{'' if move.explains else ': it does not explain the misfit'}"
 
 
-def reading_of(move: Move, asked: str, start: Array) -> str | None:
-    """The readings of a move of the cloud ``start`` [N, 3] that was not ``asked`` for."""
-    if asked != "auto" or move.kind == "nothing":
+def reading_of(move: Move, option: str, start: Array) -> str | None:
+    """What a move of the cloud ``start`` [N, 3] may mean, unless the ``option`` --move named it."""
+    if option != "auto" or move.kind == "nothing":
         return None
     how = words_of_move(move, start).removeprefix("as one: ")
     return (

@@ -48,7 +48,7 @@ def command(ctx: click.Context, chosen: TrainOptions) -> None:
     if recipe is not None and recipe.render is not None:
         chosen = replace(chosen, data=render(recipe, chosen.data, chosen.output))
     if on_examples := chosen.data is None:
-        chosen = chosen.on_examples(options.given(ctx))
+        chosen = chosen.on_examples(options.explicit_options(ctx))
     outputs = options.pick(TrainOutputs, vars(chosen))
     settings = vars(chosen) | {
         "recipe": recipe and recipe.name,

@@ -1,11 +1,17 @@
-"""What the page shows of each view: the photo, outlines, and what is missing or extra."""
+"""What the page shows of each view: the photo, outlines, and what is missing or extra.
+
+Arrays and pictures are text that the page holds.
+"""
 
 from __future__ import annotations
 
+import base64
+import io
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from ...evaluation.footprint import common_window, in_window
@@ -14,7 +20,6 @@ from ...geometry.points import evenly
 from ...geometry.view import View
 from ...refinement import RefineResult
 from ..overlay import compare, stages_of
-from .packing import picture_uri
 
 MOST_VIEWS = 12
 # Most views, and pixels along the longer side of a picture of each.
@@ -25,6 +30,8 @@ AROUND = 0.35
 WHOLE = 0.6
 # Characters of one outline; a ragged one is simplified until it fits.
 MOST_OUTLINE = 40_000
+# Of a number in 16 bits.
+STEPS_OF_16_BITS = 65535
 # Of a mask without a photo: background, object, unknown.
 PAPER, OBJECT, UNKNOWN = (255, 255, 255), (214, 219, 224), (237, 230, 204)
 
@@ -152,3 +159,28 @@ def outline(values: Floats) -> str:
         if len(path) <= MOST_OUTLINE or tolerance > 16.0:
             return path[: path.rfind("M", 0, MOST_OUTLINE)] if len(path) > MOST_OUTLINE else path
         tolerance *= 2.0
+
+
+def packed(values: Array, low: Array | None = None, high: Array | None = None) -> dict[str, Any]:
+    """Numbers [N, D] in 16 bits between ``low`` and ``high`` [D], the least and the largest."""
+    low = values.min(0) if low is None else low
+    high = values.max(0) if high is None else high
+    span = np.where(high > low, high - low, 1.0)
+    steps = np.rint(np.clip((values - low) / span, 0.0, 1.0) * STEPS_OF_16_BITS).astype("<u2")
+    return {"low": low.tolist(), "span": (span / STEPS_OF_16_BITS).tolist(), "data": text_of(steps)}
+
+
+def text_of(array: NDArray[Any]) -> str:
+    """The bytes of an array, in base64."""
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode("ascii")
+
+
+def picture_uri(image: Image.Image, photo: bool) -> str:
+    """A data URI: JPEG of a photo, else PNG."""
+    stream = io.BytesIO()
+    if photo:
+        image.convert("RGB").save(stream, format="JPEG", quality=82)
+    else:
+        image.save(stream, format="PNG", optimize=True)
+    kind = "jpeg" if photo else "png"
+    return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"

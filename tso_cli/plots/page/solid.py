@@ -17,7 +17,7 @@ from ...io.clouds import PointCloud
 from ...io.paint import Paint, Pictures
 from ...refinement import RefineResult
 from ...scene.load import Scene
-from .packing import packed, picture_uri, text_of
+from .pictures import packed, picture_uri, text_of
 
 # What a page shows at most, so that a browser opens it at once.
 MOST_POINTS = 60_000

@@ -71,32 +71,42 @@ def write_page(
     solid = solid_of(result, scene)
     solid["backdrops"] = {str(picture["number"]): picture["box"] for picture in pictures}
     document = words.document
-    body = "".join([
-        _header(words),
+    main = "".join([
+        f"<header><p class=kind>tso refine</p><h1>{text(words.title)}</h1>",
+        f"<p class=written>{text(words.written)}</p></header>",
         _answers(document, words, solid),
         _solid_section(solid, pictures),
         _views_section(document, pictures),
         _details(document, words),
     ])  # fmt: skip
-    library, script = (_read(name) for name in ("three.min.js", "page.js"))
-    allowed = " ".join(f"'sha256-{_digest(one)}'" for one in (library, script))
-    policy = (
-        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:"
-    )
-    path.write_text(
-        "<!DOCTYPE html>\n"
-        '<html lang="en"><head><meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{text(words.title)}: tso refine</title>\n"
-        f"<style>{_variables()}\n{_read('page.css')}</style></head>\n<body>\n"
-        f"<main>{body}</main>\n"
+    body = (
+        f"<main>{main}</main>\n"
         f'<script type="application/json" id="solid">{as_json(solid)}</script>\n'
         f"<!--\n{_read('three.LICENSE')}-->\n"
-        f"<script>{library}</script>\n<script>{script}</script>\n</body></html>\n",
-        encoding="utf-8",
-        errors="backslashreplace",  # names of files may hold bytes that are not UTF-8
-        newline="\n",
+    )
+    page = html_page(
+        f"{text(words.title)}: tso refine",
+        f"{_variables()}\n{_read('page.css')}",
+        body,
+        [_read("three.min.js"), _read("page.js")],
+        images="data: blob:",
+    )
+    # Names of files may hold bytes that are not UTF-8.
+    path.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
+
+
+def html_page(title: str, style: str, body: str, scripts: Sequence[str], images: str) -> str:
+    """A page that runs these ``scripts`` alone, and loads ``images`` from these sources alone."""
+    digests = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests)
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+        f"script-src {allowed}; style-src 'unsafe-inline'; img-src {images}\">\n"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{title}</title>\n<style>{style}</style></head>\n<body>\n{body}"
+        + "".join(f"<script>{script}</script>\n" for script in scripts)
+        + "</body></html>\n"
     )
 
 
@@ -115,10 +125,6 @@ def _read(name: str) -> str:
     return (FOLDER / name).read_text(encoding="utf-8")
 
 
-def _digest(script: str) -> str:
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
-
-
 def _variables() -> str:
     """The colours that Python knows, for the style sheet."""
     lines = "".join(f"--{name}:{colour};" for name, colour in LINES.items())
@@ -126,13 +132,6 @@ def _variables() -> str:
         red, green, blue = (round(255 * channel) for channel in colour)
         lines += f"--{name.replace(' ', '-')}:rgb({red},{green},{blue});"
     return f":root{{{lines}}}"
-
-
-def _header(words: PageWords) -> str:
-    return (
-        f"<header><p class=kind>tso refine</p><h1>{text(words.title)}</h1>"
-        f"<p class=written>{text(words.written)}</p></header>"
-    )
 
 
 def _answers(document: dict[str, Any], words: PageWords, solid: dict[str, Any]) -> str:
@@ -145,12 +144,15 @@ def _answers(document: dict[str, Any], words: PageWords, solid: dict[str, Any]) 
         f"<p><b>IoU</b> {text(words.lines['IoU'])}.</p>"
         f"<p><b>Moved</b> {text(words.lines['moved'])}.{_drawn(document, solid)}</p>"
     )
+    *assumptions, seconds = words.used
+    items = "".join(f"<li>{text(assumption)}</li>" for assumption in assumptions)
     return (
         "<section class=answers>"
         f"<article><h2>Did it get better?</h2>{better}</article>"
         f"<article><h2>By how much?</h2>{much}</article>"
         f"<article><h2>Can I trust it?</h2>{_trust(document, words)}</article>"
-        f"<article><h2>What did it assume?</h2>{_assumed(words)}</article>"
+        f"<article><h2>What did it assume?</h2><ul>{items}</ul>"
+        f"<p class=quiet>Took {text(seconds)} until this page was written.</p></article>"
         "</section>"
     )
 
@@ -179,25 +181,19 @@ def _trust(document: dict[str, Any], words: PageWords) -> str:
     if confidence is not None:
         # What harm is, the verdict says.
         meaning = "probability that the displacement does not harm the cloud"
-        shown = f"{confidence:.4f}"[:4]
+        short = f"{confidence:.4f}"[:4]
         parts.append(
-            f'<p class=number>{shown}</p><meter min=0 max=1 low=0.5 value="{confidence:.4f}" '
-            f'aria-label="confidence {shown}"></meter><p><b>Confidence</b>: {meaning}.</p>'
+            f'<p class=number>{short}</p><meter min=0 max=1 low=0.5 value="{confidence:.4f}" '
+            f'aria-label="confidence {short}"></meter><p><b>Confidence</b>: {meaning}.</p>'
         )
-    if words.reason and not any(words.reason in one for one in words.warnings):
+    if words.reason and not any(words.reason in warning for warning in words.warnings):
         parts.append(f"<p><b>Reason</b>: {text(words.reason)}.</p>")
     if words.warnings:
-        items = "".join(f"<li>{text(one)}</li>" for one in words.warnings)
+        items = "".join(f"<li>{text(warning)}</li>" for warning in words.warnings)
         parts.append(f'<p><b>Warnings</b></p><ul class="warnings">{items}</ul>')
     else:
         parts.append("<p>Nothing suspicious was found in the input.</p>")
     return "".join(parts)
-
-
-def _assumed(words: PageWords) -> str:
-    *used, seconds = words.used
-    items = "".join(f"<li>{text(one)}</li>" for one in used)
-    return f"<ul>{items}</ul><p class=quiet>Took {text(seconds)} until this page was written.</p>"
 
 
 def _check(name: str, words: str, on: bool, key: str = "") -> str:
@@ -274,9 +270,9 @@ def _views_section(document: dict[str, Any], pictures: Sequence[dict[str, Any]])
         + _check("line-result", "silhouette of the result", True, "result")
         + (_check("photo", "photo", True) if photo else "")
     )
-    chosen = ""
+    selection = ""
     if len(pictures) < len(views):
-        chosen = f"<p class=quiet>{len(pictures)} of {len(views)} views, evenly chosen.</p>"
+        selection = f"<p class=quiet>{len(pictures)} of {len(views)} views, evenly chosen.</p>"
     cards = "".join(_card(views[p["number"]], p, several) for p in pictures)
     unknown = any(picture["unknown"] for picture in pictures)
     legend = "".join(
@@ -294,7 +290,7 @@ def _views_section(document: dict[str, Any], pictures: Sequence[dict[str, Any]])
     kind = "many" if several else "one"
     return (
         f"<section><h2>{heading}</h2><div class=controls><fieldset><legend>Outlines</legend>"
-        f"{checks}</fieldset></div><p class=legend>{legend}</p>{chosen}"
+        f"{checks}</fieldset></div><p class=legend>{legend}</p>{selection}"
         f'<div class="cards {kind}">{cards}</div></section>'
     )
 
@@ -314,13 +310,15 @@ def _card(view: dict[str, Any], picture: dict[str, Any], several: bool) -> str:
     if picture["part"]:
         left, top, right, bottom = picture["part"]
         part = f"Columns {left} to {right - 1}, rows {top} to {bottom - 1}. "
-    differences = "".join(
-        f'<figure><img src="{one["uri"]}" width="{one["width"]}" height="{one["height"]}" '
-        f'alt="{label}, view {number}: {100 * one["missing"]:.1f} % of the mask missing, '
-        f'{100 * one["extra"]:.1f} % extra"><figcaption>{label}: {100 * one["missing"]:.1f} % of '
-        f"the mask missing, {100 * one['extra']:.1f} % extra</figcaption></figure>"
-        for label, one in zip(("Start", "Result"), picture["differences"], strict=True)
-    )
+    figures = ""
+    for stage, difference in zip(("Start", "Result"), picture["differences"], strict=True):
+        missing, extra = (100 * difference[name] for name in ("missing", "extra"))
+        shares = f"{missing:.1f} % of the mask missing, {extra:.1f} % extra"
+        figures += (
+            f'<figure><img src="{difference["uri"]}" width="{difference["width"]}" '
+            f'height="{difference["height"]}" alt="{stage}, view {number}: {shares}">'
+            f"<figcaption>{stage}: {shares}</figcaption></figure>"
+        )
     return (
         f"<article class=view><h3>View {number}: {name}</h3>"
         f"<p>{iou}</p>"
@@ -330,13 +328,13 @@ def _card(view: dict[str, Any], picture: dict[str, Any], several: bool) -> str:
         f'<image {"class=photo " if picture["photo"] else ""}id="base-{picture["number"]}" '
         f'href="{picture["base"]}" width="{width}" height="{height}"/>{paths}</svg>'
         f"<figcaption>{what}. {part}</figcaption></figure>"
-        f"<div class=differences>{differences}</div></div></article>"
+        f"<div class=differences>{figures}</div></div></article>"
     )
 
 
 def _table(header: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     """A table. In a narrow window the cells of more than two columns are below each other."""
-    head = "".join(f"<th scope=col>{text(one)}</th>" for one in header)
+    head = "".join(f"<th scope=col>{text(name)}</th>" for name in header)
     lines = "".join(
         "<tr>"
         + "".join(
@@ -369,8 +367,12 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
     suspicious = ""
     if suspects:
         rows = (
-            (one["what"], one["option"], f"{one['score']:.3f}" if one["score"] else "-")
-            for one in suspects
+            (
+                suspect["what"],
+                suspect["option"],
+                f"{suspect['score']:.3f}" if suspect["score"] else "-",
+            )
+            for suspect in suspects
         )
         table = _table(("what may be wrong", "what to try", "IoU then"), rows)
         suspicious = f"<h3>Findings</h3>{table}"
@@ -383,7 +385,8 @@ def _details(document: dict[str, Any], words: PageWords) -> str:
     )
     dumped = json.dumps(document, indent=2, allow_nan=False)
     conventions = "".join(
-        f"<dt>{text(name)}</dt><dd>{text(one)}</dd>" for name, one in document["convention"].items()
+        f"<dt>{text(name)}</dt><dd>{text(meaning)}</dd>"
+        for name, meaning in document["convention"].items()
     )
     return (
         "<section><h2>Details</h2>"
