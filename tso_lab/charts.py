@@ -16,6 +16,7 @@ from tso_cli.plots.style import BETTER, COLOURS, INK, WORSE, page
 
 if TYPE_CHECKING:
     from .studies.cases import Case
+    from .study import Draw
 
 Rows = Mapping[str, Mapping[str, Mapping[str, float | None]]]
 """Title of a panel -> label of a group of bars -> label of a bar -> value."""
@@ -60,7 +61,21 @@ def draw_bars(path: Path, panels: Rows, overwrite: bool = False, log: bool = Fal
             axis.margins(x=0.1)
             axis.set_xscale("log" if log else "linear")
             axis.set_title(title, fontsize=9)
-            axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+            legend_beside(axis)
+
+
+def legend_beside(axis: Any) -> None:
+    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+
+
+def bars(panels: Callable[[Any], Rows], log: bool = False) -> Draw:
+    """What draws the bars of a record's ``panels``."""
+    return lambda path, record, overwrite=False: draw_bars(path, panels(record), overwrite, log)
+
+
+def ratios(grid: Callable[[Any], Sequence[Sequence[Panel]]]) -> Draw:
+    """What draws the ratios of a record's ``grid`` of panels."""
+    return lambda path, record, overwrite=False: draw_ratios(path, grid(record), overwrite)
 
 
 def digits(value: float) -> str:

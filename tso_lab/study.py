@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tso_cli.errors import InputError
 from tso_cli.io.output import reason
@@ -18,8 +19,12 @@ from tso_cli.version import __version__
 
 from .studies import QUESTIONS
 
+if TYPE_CHECKING:
+    from .studies.shapes import Shape
+
 Record = dict[str, Any]
 Cases = list[Record]
+Draw = Callable[[Path, Record, bool], None]
 Report = Callable[[str, int, int], None]
 """Called with (what is being done, done, total)."""
 
@@ -115,7 +120,7 @@ class Study:
     about: str = ""
     parts: tuple[str, ...]
     tables: Callable[[Record], list[Table]]
-    draw: Callable[[Path, Record, bool], None]
+    draw: Draw
     reading: str
     convention: Record
     options: tuple[Declared, ...]
@@ -139,12 +144,12 @@ class Study:
         began = time.monotonic()
         plan = self.plan(progress, **options)
         cases = self._earlier_cases(progress, plan.settings)
-        record = self._checked_record(plan, cases, progress, began)
+        record = self._record(plan, cases, progress, began)
         progress.keep(record)
         for number, (shared, make_cases) in enumerate(plan.jobs, 1):
             if not _has_cases_of(shared, cases):
                 cases = [*cases, *make_cases()]
-                record = self._checked_record(plan, cases, progress, began)
+                record = self._record(plan, cases, progress, began)
                 progress.keep(record)
             progress.report(plan.doing, number, len(plan.jobs))
         plan.finish(record)
@@ -156,23 +161,24 @@ class Study:
         words = {"convention": self.convention, "command": self.command + options}
         return {**record, **words, **self.conclude(record["cases"])}
 
-    def _checked_record(self, plan: Plan, cases: Cases, progress: Progress, began: float) -> Record:
-        """The record; raises InputError where cases of an earlier record are damaged."""
-        if progress.earlier is None:
-            return self._record(plan, cases, time.monotonic() - began)
-        with undamaged(progress.source):
-            seconds = progress.earlier.get("seconds", 0.0) + time.monotonic() - began
-            record = self._record(plan, cases, seconds)
-            for table in self.tables(record) if record["complete"] else ():
+    def _record(self, plan: Plan, cases: Cases, progress: Progress, began: float) -> Record:
+        """The record so far; InputError where cases of an earlier record are damaged."""
+        complete = all(_has_cases_of(shared, cases) for shared, _ in plan.jobs)
+        earlier = progress.earlier or {}
+        with undamaged(progress.source) if earlier else nullcontext():
+            record = {
+                "study": self.name,
+                "version": __version__,
+                "convention": self.convention,
+                "complete": complete,
+                "seconds": earlier.get("seconds", 0.0) + time.monotonic() - began,
+                "settings": plan.settings,
+                **(self.conclude(cases) if complete else {}),
+                "cases": cases,
+            }
+            for table in self.tables(record) if earlier and complete else ():
                 table.text()
         return record
-
-    def _record(self, plan: Plan, cases: Cases, seconds: float) -> Record:
-        complete = all(_has_cases_of(shared, cases) for shared, _ in plan.jobs)
-        head = {"study": self.name, "version": __version__, "convention": self.convention}
-        state = {"complete": complete, "seconds": seconds, "settings": plan.settings}
-        conclusions = self.conclude(cases) if complete else {}
-        return {**head, **state, **conclusions, "cases": cases}
 
     def _earlier_cases(self, progress: Progress, settings: Record) -> Cases:
         if progress.earlier is None:
@@ -184,9 +190,22 @@ class Study:
         # In JSON tuples are lists.
         for key, value in json.loads(json.dumps(settings)).items():
             if before.get(key) != value:
-                found = f"{text} has {key} {before.get(key)!r}, now it is {value!r}"
-                raise InputError(f"{found}; expected the same")
+                raise InputError(
+                    f"{text} has {key} {before.get(key)!r}, now it is {value!r}; expected the same"
+                )
         return cases
+
+
+def by_shape(
+    settings: Record,
+    shapes: Sequence[Shape],
+    make_cases: Callable[[Shape], Cases],
+    doing: str = "refining",
+) -> Plan:
+    """A job for each shape; the settings name the shapes."""
+    settings = {**settings, "shapes": [shape.name for shape in shapes]}
+    jobs = [({"shape": shape.name}, partial(make_cases, shape)) for shape in shapes]
+    return Plan(settings, jobs, doing)
 
 
 def _has_cases_of(shared: Record, cases: Cases) -> bool:

@@ -30,21 +30,21 @@ QUESTIONS = {
         "Paper: what gains most, moving the encoder, encoder and decoder, or the points?",
     ),
     "supervision": (
-        "studies.supervision.STUDY",
+        "studies.paper.SUPERVISION",
         "Paper: what does a network learn from points, masks and other projections?",
     ),
     "views": (
-        "studies.supervision.VIEWS",
+        "studies.paper.VIEWS",
         "Paper: how many masks of each object should supervise a step?",
     ),
     "lambda": (
-        "studies.affinity.LAMBDA",
+        "studies.paper.LAMBDA",
         "Paper: what does lambda, the weight of the affinity loss, change?",
     ),
-    "affinity": ("studies.affinity.STUDY", "Paper: does the affinity loss remove outliers?"),
+    "affinity": ("studies.paper.AFFINITY", "Paper: does the affinity loss remove outliers?"),
     "sigma": ("studies.sigma.STUDY", "Paper: how wide should the Gaussian be?"),
     "failures": (
-        "studies.failures.STUDY",
+        "studies.paper.FAILURES",
         "Paper: are aeroplanes too narrow, and cars deformed in depth?",
     ),
 }

@@ -74,11 +74,10 @@ def depth_loss(points: Tensor, batch: Batch) -> Tensor:
     so that it compares with the other losses.
     """
     height, width = batch.masks.shape[-2:]
-    losses, given = [], (batch.K, batch.R, batch.t, batch.targets)
+    losses, like = [], {"dtype": points.dtype, "device": points.device}
     for b, cloud in enumerate(points):
-        K, R, t, target = (
-            torch.as_tensor(values[b], dtype=points.dtype, device=points.device) for values in given
-        )
+        K, R, t = (torch.as_tensor(values[b], **like) for values in (batch.K, batch.R, batch.t))
+        target = torch.as_tensor(batch.targets[b], **like)
         cameras = CameraBatch(K, R, t, width, height)
         depth, hit = depth_map(cloud, cameras)
         true, true_hit = depth_map(target, cameras)

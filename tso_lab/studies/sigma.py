@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from itertools import cycle, product
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from tso_cli.plots.style import COLOURS, page
 from tso_cli.render.settings import RenderSettings
 
 from .. import options
-from ..study import Cases, Plan, Progress, Record, Study, Table, claim
+from ..study import Cases, Plan, Progress, Record, Study, Table, by_shape, claim
 from .shapes import RenderedShape, Shape, see, shapes_of_part
 from .summary import grouped
 
@@ -26,11 +25,6 @@ PAPER = {"chair": 0.4, "car": 0.4, "airplane": 0.1, "all": 0.4}
 SIZE = 64
 # Keys of the records: the silhouette's lack within the mask, its excess outside, and their sum.
 MISSING, EXCESS, ERROR = "missing", "stray", "l1"
-CONVENTION = {
-    "sigma_sq": f"px^2 of the {SIZE}x{SIZE} mask",
-    "error": "|silhouette - mask|, mean over pixels, views and shapes: missing + excess",
-    "missing": "what the silhouette lacks of the mask; excess: what it has outside the mask",
-}
 
 
 def plan(
@@ -51,10 +45,8 @@ def plan(
         errors = mask_errors(see(shape, render, settings["seed"]))
         return [{"category": shape.category, "shape": shape.name, **errors}]
 
-    settings |= {"shapes": [shape.name for shape in shapes], "points": render.points}
-    settings |= {"mask": f"{SIZE}x{SIZE}", "sigma_sq": list(SIGMAS)}
-    jobs = [({"shape": shape.name}, partial(compare, shape)) for shape in shapes]
-    return Plan(settings, jobs, "projecting")
+    more = {"points": render.points, "mask": f"{SIZE}x{SIZE}", "sigma_sq": list(SIGMAS)}
+    return by_shape({**settings, "shapes": [], **more}, shapes, compare, "projecting")
 
 
 def mask_errors(seen: RenderedShape, sigmas: Sequence[float] = SIGMAS) -> dict[str, list[float]]:
@@ -69,22 +61,6 @@ def mask_errors(seen: RenderedShape, sigmas: Sequence[float] = SIGMAS) -> dict[s
     return {**both, ERROR: errors.sum(0).tolist()}
 
 
-def _means(category: str, rows: Cases) -> Record:
-    """Means over shapes; the best sigma^2, and the error at the paper's."""
-    keys = (ERROR, MISSING, EXCESS)
-    means = {key: np.mean([row[key] for row in rows], axis=0) for key in keys}
-    best, paper = int(means[ERROR].argmin()), PAPER.get(category)
-    there = np.interp(np.log(paper), np.log(SIGMAS), means[ERROR]) if paper else None
-    return {
-        "shapes": len(rows),
-        **{key: value.tolist() for key, value in means.items()},
-        "best": SIGMAS[best],
-        "l1_at_best": float(means[ERROR][best]),
-        "paper": paper,
-        "l1_at_paper": None if there is None else float(there),
-    }
-
-
 def conclude(cases: Cases) -> Record:
     """Means by category and of all, and what the paper says of sigma^2."""
     groups = {**grouped(cases, "category"), "all": cases}
@@ -92,16 +68,26 @@ def conclude(cases: Cases) -> Record:
     return {"summary": summary, "claims": claims(summary)}
 
 
+def _means(category: str, rows: Cases) -> Record:
+    """Means over shapes; the best sigma^2, and the error at the paper's."""
+    means = {key: np.mean([row[key] for row in rows], axis=0) for key in (ERROR, MISSING, EXCESS)}
+    best, paper = int(means[ERROR].argmin()), PAPER.get(category)
+    there = float(np.interp(np.log(paper), np.log(SIGMAS), means[ERROR])) if paper else None
+    figures = {"best": SIGMAS[best], "l1_at_best": float(means[ERROR][best])}
+    figures |= {"paper": paper, "l1_at_paper": there}
+    return {"shapes": len(rows), **{k: mean.tolist() for k, mean in means.items()}, **figures}
+
+
 def claims(summary: Record) -> list[Record]:
     """What the paper says of sigma^2, whether it holds here, and the figures."""
     overall = summary["all"]
-    own = {name: row for name, row in summary.items() if row["paper"] and name != "all"}
+    stated = {name: row for name, row in summary.items() if row["paper"] and name != "all"}
     best = ", ".join(
-        f"{name} {row['best']:g} (the paper's {row['paper']:g})" for name, row in own.items()
+        f"{name} {row['best']:g} (the paper's {row['paper']:g})" for name, row in stated.items()
     )
     missing, excess = overall[MISSING], overall[EXCESS]
     holes = bool(np.all(np.diff(missing) < 0.0) and np.all(np.diff(excess) > 0.0))
-    near = all(0.5 <= row["best"] / row["paper"] <= 2.0 for row in own.values())
+    near = all(0.5 <= row["best"] / row["paper"] <= 2.0 for row in stated.values())
     measured = f"from {SIGMAS[0]:g} to {SIGMAS[-1]:g} px^2 missing {missing[0]:.4f} to "
     measured += f"{missing[-1]:.4f}, excess {excess[0]:.4f} to {excess[-1]:.4f}"
     factor = "the paper's sigma^2 is within a factor of two of the best in every category"
@@ -109,9 +95,9 @@ def claims(summary: Record) -> list[Record]:
         claim("a small sigma^2 leaves holes, a large one fills what is empty", holes, measured),
         claim(factor, near, best),
     ]
-    if "airplane" in own and len(own) > 1:
-        smallest = min(row["best"] for name, row in own.items() if name != "airplane")
-        smaller = own["airplane"]["best"] < smallest
+    if "airplane" in stated and len(stated) > 1:
+        smallest = min(row["best"] for name, row in stated.items() if name != "airplane")
+        smaller = stated["airplane"]["best"] < smallest
         nearest = min(SIGMAS, key=lambda sigma_sq: abs(np.log(sigma_sq / overall["paper"])))
         text = f"{overall['paper']:g} is best for all categories together"
         over = f"{overall['best']:g} over all {overall['shapes']} shapes"
@@ -129,11 +115,11 @@ def tables(record: Record) -> list[Table]:
         [f"{sigma_sq:g}", *(row[ERROR][k] for row in summary.values())]
         for k, sigma_sq in enumerate(sigmas)
     ]
-    best = []
-    for name, row in summary.items():
-        paper = row["paper"] and f"{row['paper']:g}"
-        ours = [name, row["shapes"], f"{row['best']:g}", row["l1_at_best"]]
-        best.append([*ours, paper, row["l1_at_paper"]])
+    best = [
+        [name, row["shapes"], f"{row['best']:g}", row["l1_at_best"]]
+        + [row["paper"] and f"{row['paper']:g}", row["l1_at_paper"]]
+        for name, row in summary.items()
+    ]
     header = ["category", "shapes", "best sigma^2", "error", "the paper's", "error there"]
     return [Table(["sigma^2", *summary], errors, decimals=4), Table(header, best, decimals=4)]
 
@@ -172,7 +158,11 @@ STUDY = Study(
     reading="A narrow Gaussian leaves holes between the points, a wide one blurs the outline and "
     "fills gaps. The best width depends on how densely the points cover the mask, so thin shapes "
     "need a smaller one; between the extremes the error is flat.",
-    convention=CONVENTION,
+    convention={
+        "sigma_sq": f"px^2 of the {SIZE}x{SIZE} mask",
+        "error": "|silhouette - mask|, mean over pixels, views and shapes: missing + excess",
+        "missing": "what the silhouette lacks of the mask; excess: what it has outside the mask",
+    },
     options=(
         *options.COMMON,
         options.part("test", "test", "validation", "train"),

@@ -1,0 +1,645 @@
+"""The paper's tables of trained networks: studies as data, which share how they train and compare.
+
+A study says which networks it trains, what it measures of each beside its distance to the truth,
+and what the paper claims of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tso_cli.errors import InputError
+from tso_cli.train.config import TrainConfig
+from tso_cli.train.data import TrainingData
+from tso_cli.train.loop import train
+
+from .. import options
+from ..charts import Rows, bars
+from ..interrupts import uninterrupted
+from ..options import option
+from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed
+from .discretised import DEPTH, PLAIN, projected_objective
+from .material import (
+    ALL,
+    CONVENTION,
+    FRAME,
+    INPUT_VIEWS,
+    MEAN_SHAPE,
+    Material,
+    Predicted,
+    constant_answer,
+    distances,
+    predict,
+)
+from .paper_measures import outlier_shares, sizes
+from .shapes import SPLIT
+
+CATEGORIES = PLANE, CAR, CHAIR = "airplane", "car", "chair"
+NOISE = 0.95
+"""The same training comes out up to 5 % away another time: a smaller difference is noise."""
+# The paper's rate of 5e-5 gets nowhere in few steps.
+RATE, AVERAGING = 3e-4, 0.99
+OPTIONS = (
+    options.MESHES,
+    options.SPLIT,
+    options.part("test"),
+    options.categories(note="see above"),
+    option("--steps", "Of every network.  [default: see above]", int, least=1),
+    option("--batch-size", kind=int, default=8, least=1),
+    option("--limit", "Training shapes of a category.", int, 32, least=1),
+    options.SEED,
+    option("--device", "cpu, cuda, cuda:1, mps or auto.", default="cpu"),
+)
+
+
+EACH = ""
+MASKED = {"supervision": "masks"}
+
+
+@dataclass(frozen=True)
+class Network:
+    """One network of a study.
+
+    name : in tables; unique among the networks of a category.
+    changes : fields of `train.TrainConfig` in which the network differs. With masks sigma^2 is the
+        paper's for the category unless it is changed too.
+    category : to train and compare on; `EACH` of the study's in turn, or `ALL` of them together,
+        equally often. beside : a category without which the network is left out.
+    projection : of `discretised`; empty for the paper's.
+    constant : take the mean training shape in place of a network. repeat : is added to the seed.
+    """
+
+    name: str
+    changes: dict[str, Any] = field(default_factory=dict)
+    category: str = EACH
+    beside: str = EACH
+    projection: str = ""
+    constant: bool = False
+    repeat: int = 0
+
+    def of(self, category: str) -> Network:
+        sigma_sq = {"sigma_sq": 0.1 if category == PLANE else 0.4}
+        masked = self.changes.get("supervision") == "masks"
+        changes = {**sigma_sq, **self.changes} if masked else self.changes
+        return replace(self, category=category, changes=changes)
+
+
+def networks_of(networks: Sequence[Network], categories: Sequence[str]) -> list[Network]:
+    """The networks to train: those of each category, then those of one or of all together.
+
+    Raises InputError where there is none.
+    """
+    whole = (*categories, ALL) if len(categories) > 1 else categories
+    chosen = [row.of(name) for name in categories for row in networks if row.category == EACH]
+    chosen += [
+        row.of(row.category)
+        for row in networks
+        if row.category in whole and row.beside in (EACH, *categories)
+    ]
+    if not chosen:
+        found = f"the failures are of {PLANE} and {CAR}, found {', '.join(categories)}"
+        raise InputError(f"{found}, expected one of the two")
+    return chosen
+
+
+def plan(
+    progress: Progress,
+    *,
+    networks: Sequence[Network],
+    usual_steps: int,
+    usual_categories: tuple[str, ...],
+    measure: Callable[[list[Predicted], TrainingData], Record],
+    meshes: Path,
+    split: Path | None,
+    part: str,
+    limit: int,
+    material: Callable[..., Material] = Material,
+    **budget: Any,
+) -> Plan:
+    """Train each of the ``networks``, and compare it with the truth on unseen shapes.
+
+    The cases: {"setting", "category", "judged": {category: Chamfer distance x1000}, ...}; with what
+    ``measure`` makes of the predictions of a network and the unseen data. Raises InputError if a
+    shape is missing.
+    """
+    categories = budget.pop("categories") or usual_categories
+    to_train = networks_of(networks, categories)
+    shapes = material(meshes, split, part, categories, limit, budget["seed"], progress.report)
+    budget |= {"steps": budget["steps"] or usual_steps, "frame": FRAME}
+    budget |= {"learning_rate": RATE, "averaging": AVERAGING}
+
+    def compare(network: Network, names: Record, doing: str) -> Cases:
+        data = shapes.data(network.category, True, dense=network.projection == DEPTH)
+        unseen = shapes.data(network.category, False)
+        if network.constant:
+            return [
+                {**names, "judged": distances(constant_answer(data, unseen, shapes.mean_steps))}
+            ]
+        changes = {"seed": budget["seed"] + network.repeat, "balance": network.category == ALL}
+        config = TrainConfig(**{**budget, **changes, **network.changes})
+        objective = projected_objective(config, network.projection) if network.projection else None
+        report = lambda done, total, note: progress.report(doing, done, total)  # noqa: E731
+        result = uninterrupted(train(data, config, objective=objective, progress=report))
+        predicted = predict(result.network, unseen)
+        return [{**names, "judged": distances(predicted), **measure(predicted, unseen)}]
+
+    jobs = []
+    for number, network in enumerate(to_train, 1):
+        names: Record = {"setting": network.name, "category": network.category}
+        doing = f"{number} of {len(to_train)}: {network.name}, {network.category}"
+        jobs.append((names, partial(compare, network, names, doing)))
+    about: Record = {"split": (split or SPLIT).name, "part": part}
+    about |= {"shapes": shapes.counts(), "names": shapes.names_hash()}
+    return Plan({**budget, **about}, jobs, "training")
+
+
+def trained(
+    name: str,
+    networks: Sequence[Network],
+    steps: int,
+    categories: tuple[str, ...],
+    conclude: Callable[[Cases], Record],
+    rows: Callable[[Record], Rows],
+    about: str,
+    reading: str,
+    measure: Callable[[list[Predicted], TrainingData], Record] = lambda predicted, data: {},
+    notes: Mapping[str, str] | None = None,
+) -> Study:
+    """The study of ``networks``, by default of ``categories`` and with so many ``steps``.
+
+    ``rows`` : record -> title -> row -> column -> value, for tables and bars.
+    """
+
+    def tables(record: Record) -> list[Table]:
+        settings = record["settings"]
+        shapes = ", ".join(
+            f"{name} {n['training']} to train and {n['judged']} unseen"
+            for name, n in settings["shapes"].items()
+        )
+        note = (
+            f"{settings['steps']} steps of {settings['batch_size']} at a rate of "
+            f"{settings['learning_rate']:g}, seed {settings['seed']}, {settings['frame']} frame, "
+            f"{settings['device']}; shapes: {shapes} ({settings['part']}), {INPUT_VIEWS} views "
+            "each. Chamfer x1000 under the paper's protocol."
+        )
+        panels = rows(record).items()
+        return [crossed(cells, title, note=note, decimals=2) for title, cells in panels]
+
+    usual = {"usual_steps": steps, "usual_categories": categories}
+    return Study(
+        name=name,
+        about=about,
+        parts=("pictures", "training"),
+        tables=tables,
+        draw=bars(rows),
+        reading=reading,
+        convention={**CONVENTION, **(notes or {})},
+        options=OPTIONS,
+        plan=partial(plan, networks=networks, measure=measure, **usual),
+        conclude=conclude,
+    )
+
+
+def by_category(cases: Cases, key: str = "judged") -> dict[str, dict[str, float]]:
+    """{setting: {category: value}}; of the key "judged" the Chamfer distance x1000."""
+    values: dict[str, dict[str, float]] = {}
+    for category in dict.fromkeys(category for case in cases for category in case.get(key, {})):
+        for case in cases:
+            if category in case.get(key, {}):
+                values.setdefault(case["setting"], {})[category] = case[key][category]
+    return values
+
+
+def with_mean(values: Mapping[str, float]) -> dict[str, float]:
+    """The mean over categories, then the ``values`` of each."""
+    return {"mean": float(np.mean(list(values.values()))), **values}
+
+
+def at_most(
+    text: str,
+    values: Mapping[str, Mapping[str, float]],
+    name: str,
+    rivals: Sequence[str],
+    factor: float = 1.0,
+    paper: str = "",
+) -> Record:
+    """The claim that ``name`` is at most ``factor`` times each of ``rivals``, in every category.
+
+    ``values`` : {setting: {category: value}}; ``paper`` : the paper's figures.
+    """
+    missed, figures = [], []
+    for category, value in values[name].items():
+        limits = [values[rival][category] for rival in rivals]
+        missed.append(any(value > factor * limit for limit in limits))
+        against = " and ".join(f"{limit:.2f}" for limit in limits)
+        figures.append(f"{category} {value:.2f} against {against}{', not there' * missed[-1]}")
+    return claim(text, not any(missed), "; ".join(figures) + (f"; paper {paper}" if paper else ""))
+
+
+# Supervision with points, masks or other projections.
+
+POINTS, MASKS = "3D points", "masks"
+DISCRETISED, LIN = "masks, discretised", "depth maps, Lin et al."
+POINTS_ALL, MASKS_ALL = "3D points, all categories", "masks, all categories"
+PAPER = {
+    POINTS: {PLANE: 1.36, CAR: 1.40, CHAIR: 3.98},
+    MASKS: {PLANE: 2.00, CAR: 1.65, CHAIR: 4.42},
+    LIN: {PLANE: 2.01, CAR: 2.50, CHAIR: 6.35},
+    POINTS_ALL: {PLANE: 1.33, CAR: 1.41, CHAIR: 3.94},
+    MASKS_ALL: {PLANE: 2.57, CAR: 1.74, CHAIR: 5.09},
+}
+# The paper calls its scores with masks close to those with 3D points, and its scores of one
+# network for all categories comparable.
+CLOSE, COMPARABLE = 1.5, 1.25
+MARGIN = f"by {1.0 - NOISE:.0%} or more"
+SUPERVISION_CLAIMS: tuple[tuple[str, str, list[str], float, str], ...] = (
+    (f"{POINTS} teach more than the mean shape, {MARGIN}", POINTS, [MEAN_SHAPE], NOISE, ""),
+    (f"{MASKS} teach more than the mean shape, {MARGIN}", MASKS, [MEAN_SHAPE], NOISE, ""),
+    (
+        f"masks alone come within {CLOSE:g} times the Chamfer distance of 3D supervision",
+        *(MASKS, [POINTS], CLOSE, "1.20 times in the mean"),
+    ),
+    (
+        f"the continuous projection beats the discretised one and Lin et al.'s, {MARGIN}",
+        *(MASKS, [DISCRETISED, LIN], NOISE, "2.69 against 3.62 of Lin et al. in the mean"),
+    ),
+    (
+        f"one network for all categories is comparable with one for each (at most {COMPARABLE:g} "
+        "times)",
+        *(MASKS_ALL, [MASKS], COMPARABLE, "1.16 times in the mean"),
+    ),
+)
+"""What is claimed, of which networks, against which, up to which factor; the paper's figures."""
+
+
+SUPERVISED = (
+    Network(MEAN_SHAPE, constant=True),
+    Network(POINTS, {"supervision": "points"}),
+    Network(MASKS, MASKED),
+    Network(DISCRETISED, MASKED, projection=PLAIN),
+    Network(LIN, MASKED, projection=DEPTH),
+    Network(POINTS_ALL, {"supervision": "points"}, ALL),
+    Network(MASKS_ALL, MASKED, ALL),
+)
+
+
+def conclude_supervision(cases: Cases) -> Record:
+    """Chamfer of each kind by category, and which of the paper's claims hold in every category."""
+    values = by_category(cases)
+    claims = [
+        at_most(text, values, name, rivals, factor, paper)
+        for text, name, rivals, factor, paper in SUPERVISION_CLAIMS
+        if name in values
+    ]
+    summary = {name: with_mean(of_categories) for name, of_categories in values.items()}
+    return {"summary": summary, "paper": PAPER, "claims": claims}
+
+
+def supervision_rows(record: Record) -> Rows:
+    """Chamfer of each kind by category, ours and the paper's."""
+    table = {}
+    for name, values in record["summary"].items():
+        paper = with_mean(record["paper"][name]) if name in record["paper"] else {}
+        theirs = {f"paper: {category}": paper.get(category) for category in values if paper}
+        table[name] = values | theirs
+    return {"supervision": table}
+
+
+SUPERVISION = trained(
+    "supervision",
+    SUPERVISED,
+    1000,
+    CATEGORIES,
+    conclude_supervision,
+    supervision_rows,
+    about="For each category a network of each kind, and two networks for all categories, are "
+    "trained on the list train of the split and compared on unseen shapes; so is the mean training "
+    "shape. Reduced size: 1,000 steps of 8, 32 shapes of a category.",
+    reading="A network that is nearer than the mean training shape has learnt from pictures. "
+    "Rounded points have no gradient across the picture, so those networks learn from the affinity "
+    "loss alone; they are level with the continuous projection, so here the affinity loss does the "
+    "work. We have dozens of shapes to learn from, the paper thousands: no number here says what "
+    "the methods do with the paper's data. One seed each; the same training comes out up to 5 % "
+    "away.",
+    notes={
+        DISCRETISED: "points rounded to pixels in place of the Gaussians: BCE has no gradient, "
+        "only the affinity loss moves points",
+        LIN: "the same with the L1 loss of depth maps, upsampled by 5, of the supervising views; "
+        "no pretraining, one network",
+    },
+)
+
+
+# Numbers of masks of each object a step.
+
+COUNTS = ("1", "2", "3", "4", "5", "6", "8")
+VIEWS_PAPER = {
+    PLANE: dict(zip(COUNTS, (2.40, 2.02, 2.0, 2.0, 1.98, 1.99, 2.01), strict=True)),
+    CAR: dict(zip(COUNTS, (3.47, 1.68, 1.65, 1.65, 1.68, 1.65, 1.68), strict=True)),
+    CHAIR: dict(zip(COUNTS, (4.53, 4.41, 4.35, 4.36, 4.43, 4.42, 4.56), strict=True)),
+}
+LITTLE = 1.1
+"""The paper's values for two masks and more lie within 5 % of each other; ours may within 10 %."""
+# Networks of one number of masks differ in their seed; the study compares one and two masks.
+NAMES = {
+    count: [f"V = {count}", *(f"V = {count}, seed + {i}" for i in (1, 2) if count in "12")]
+    for count in COUNTS
+}
+
+
+OF_VIEWS = (
+    Network(MEAN_SHAPE, constant=True),
+    *(
+        Network(name, {**MASKED, "views": int(count)}, repeat=repeat)
+        for count, names in NAMES.items()
+        for repeat, name in enumerate(names)
+    ),
+)
+
+
+def conclude_views(cases: Cases) -> Record:
+    """Chamfer by category and number of masks (the mean over seeds), and the paper's claims."""
+    values = by_category(cases)
+    constant = values[MEAN_SHAPE]
+    seeds = {
+        category: {count: [values[name][category] for name in NAMES[count]] for count in COUNTS}
+        for category in constant
+    }
+    summary = {
+        category: {count: float(np.mean(of_seeds)) for count, of_seeds in counts.items()}
+        for category, counts in seeds.items()
+    }
+    gains, spreads = [], {}
+    for category, means in summary.items():
+        one, two = ("/".join(f"{value:.2f}" for value in seeds[category][count]) for count in "12")
+        paper = f", paper {_gain(VIEWS_PAPER[category])}" if category in VIEWS_PAPER else ""
+        gains.append(f"{category} {one} to {two} ({_gain(means)}{paper})")
+        more = [means[count] for count in COUNTS[1:]]
+        spreads[category] = max(more) / min(more)
+    better = all(max(counts["2"]) < min(counts["1"]) for counts in seeds.values())
+    little = f"more than two change little (largest at most {LITTLE:g} times the smallest)"
+    times = ", ".join(f"{name} {value:.2f} times" for name, value in spreads.items())
+    worst = {name: max(means.values()) for name, means in summary.items()}
+    against = {"worst": worst, MEAN_SHAPE: constant}
+    text = "two masks of each object are better than one, with any seed"
+    claims = [
+        claim(text, better, ", ".join(gains)),
+        claim(little, max(spreads.values()) <= LITTLE, times),
+        at_most("masks teach more than the mean shape", against, "worst", [MEAN_SHAPE]),
+    ]
+    return {"summary": summary, "constant": constant, "paper": VIEWS_PAPER, "claims": claims}
+
+
+def _gain(values: Mapping[str, float]) -> str:
+    """By how much two masks change the distance of one."""
+    return f"{100.0 * (values['2'] / values['1'] - 1.0):+.0f} %"
+
+
+def views_rows(record: Record) -> Rows:
+    """Chamfer by number of masks, ours and the paper's."""
+    table = {}
+    for category, means in record["summary"].items():
+        table[category] = {**means, MEAN_SHAPE: record["constant"][category]}
+        if category in record["paper"]:
+            table[f"{category}, paper"] = record["paper"][category]
+    return {"masks": table}
+
+
+VIEWS = trained(
+    "views",
+    OF_VIEWS,
+    2000,
+    (CAR,),
+    conclude_views,
+    views_rows,
+    about="Networks trained with 1, 2, 3, 4, 5, 6 and 8 masks of each object a step. For 1 and for "
+    "2 masks there are three networks, which differ in their seed alone. Reduced size: cars alone, "
+    "2,000 steps of 8.",
+    reading="In the paper the second mask of each object gains a lot, and further masks gain "
+    "nothing. Here the second gains nothing either. With one mask a step, each step sees another "
+    "mask, so that over the training every object is seen from all 24 sides: that may be why.",
+)
+
+
+# The affinity loss: whether it removes outliers, and its weight lambda.
+
+WITHOUT = "without"
+# Name -> form and weight; the study `lambda` finds these weights good.
+FORMS = {"points, lambda = 1": ("points", 1.0), "paper, lambda = 0.1": ("paper", 0.1)}
+
+
+WITH_FORMS = [
+    Network(name, {**MASKED, "affinity_weight": weight, "affinity": form})
+    for name, (form, weight) in {WITHOUT: ("points", 0.0), **FORMS}.items()
+]
+
+
+def conclude_affinity(cases: Cases) -> Record:
+    """Outliers and Chamfer by category, with and without; and whether the loss lowers both."""
+    chamfers, shares = by_category(cases), by_category(cases, "outliers")
+    per_cent = {
+        name: {category: 100.0 * share for category, share in of_name.items()}
+        for name, of_name in shares.items()
+    }
+    summary = {
+        name: {
+            category: {"outliers": shares[name][category], "chamfer": value}
+            for category, value in of_name.items()
+        }
+        for name, of_name in chamfers.items()
+    }
+    figures = {"fewer outliers (per cent)": per_cent, "a lower Chamfer distance": chamfers}
+    text = "a network trained with the affinity loss ({}) has {}"
+    claims = [
+        at_most(text.format(name, what), values, name, [WITHOUT])
+        for name in FORMS
+        for what, values in figures.items()
+    ]
+    return {"summary": summary, "claims": claims}
+
+
+def affinity_rows(record: Record) -> Rows:
+    """Outliers in per cent and Chamfer by setting and category."""
+    return {
+        title: {
+            name: {category: scale * values[key] for category, values in of_name.items()}
+            for name, of_name in record["summary"].items()
+        }
+        for key, title, scale in (("outliers", "outliers, %", 100.0), ("chamfer", "Chamfer", 1.0))
+    }
+
+
+AFFINITY = trained(
+    "affinity",
+    WITH_FORMS,
+    500,
+    CATEGORIES,
+    conclude_affinity,
+    affinity_rows,
+    about="Networks trained without the loss and with each of its forms. An outlier is a point "
+    "that falls more than a pixel outside the mask, in views of unseen shapes that the network was "
+    "not given. Reduced size: 500 steps of 8, 32 shapes of a category.",
+    reading="With the affinity loss, in either form, fewer points lie outside the masks of views "
+    "that the network was not given, and the clouds are nearer to the truth, in every category.",
+    measure=outlier_shares,
+)
+
+AFFINITIES, WEIGHTS = ("points", "paper"), (0.0, 5e-5, 1e-4, 5e-4, 0.01, 0.1, 0.5, 1.0, 5.0)
+# For chairs; the supplement states lambda scaled by 1e4.
+LAMBDA_PAPER = {"5e-05": 4.63, "0.0001": 4.42, "0.0005": 5.3}
+
+
+def _weight_name(form: str, weight: float) -> str:
+    """Without the loss its form makes no difference."""
+    return f"{form}, {weight:g}" if weight else "none"
+
+
+OF_WEIGHTS = [
+    Network(_weight_name(form, weight), {**MASKED, "affinity_weight": weight, "affinity": form})
+    for form, weight in [(AFFINITIES[0], 0.0), *product(AFFINITIES, WEIGHTS[1:])]
+]
+
+
+def conclude_lambda(cases: Cases) -> Record:
+    """Chamfer by form and weight, the mean over categories; of chairs the paper's claim."""
+    values, claims = by_category(cases), []
+    summary = {
+        form: {
+            f"{weight:g}": with_mean(values[_weight_name(form, weight)])["mean"]
+            for weight in WEIGHTS
+        }
+        for form in AFFINITIES
+    }
+    chairs = list(values["none"]) == [CHAIR]
+    for form, by_weight in summary.items() if chairs else ():
+        theirs = {weight: by_weight[weight] for weight in LAMBDA_PAPER}
+        best = min(by_weight, key=by_weight.__getitem__)
+        measured = ", ".join(f"{value:.2f}" for value in theirs.values())
+        measured += f"; paper 4.63, 4.42, 5.3; best of all here: lambda = {best}, "
+        measured += f"{by_weight[best]:.2f}"
+        text = f"of 0.5e-4, 1e-4 and 5e-4, lambda = 1e-4 is the best (form {form!r})"
+        claims.append(claim(text, min(theirs, key=theirs.__getitem__) == "0.0001", measured))
+    return {"summary": summary, "paper": {CHAIR: LAMBDA_PAPER} if chairs else {}, "claims": claims}
+
+
+def lambda_rows(record: Record) -> Rows:
+    """Chamfer by lambda, of each form and the paper's."""
+    ours = {f"form {form!r}": values for form, values in record["summary"].items()}
+    paper = {f"paper ({name})": values for name, values in record["paper"].items()}
+    return {"lambda": ours | paper}
+
+
+LAMBDA = trained(
+    "lambda",
+    OF_WEIGHTS,
+    500,
+    (CHAIR,),
+    conclude_lambda,
+    lambda_rows,
+    about="Networks trained with weights from 0 to 5, in both forms of the loss. Reduced size: "
+    "chairs, 500 steps of 8.",
+    reading="The supplement's 0.5, 1 and 5 are scaled by 1e4. The authors' code has 1e-4, but for "
+    "another term than Eq. 5. For Eq. 5 that is far too little, in either form. The form 'points' "
+    "at 1, the default of `tso train`, is never far from the best; the printed form breaks down at "
+    "1, where its second term rewards parts of the mask that no point covers. A difference of less "
+    "than a tenth is noise here.",
+)
+
+
+# The failures that the paper reports: aeroplanes too narrow, cars deformed in depth.
+
+SHARED, OWN = "all categories, sigma^2 0.4", "all categories, sigma^2 0.1 for aeroplanes"
+ALONE_WIDE, ALONE = "aeroplanes alone, sigma^2 0.4", "aeroplanes alone, sigma^2 0.1"
+ONE, FOUR = "one mask", "four masks"
+CLEARLY = 0.95
+"""A size is clearly smaller than another if it is less than this times the other."""
+WIDE, NARROW = {**MASKED, "sigma_sq": 0.4}, {**MASKED, "sigma_sq": 0.1}
+FAILING = (
+    Network(SHARED, WIDE, ALL, beside=PLANE),
+    Network(OWN, {**WIDE, "category_sigma_sq": {PLANE: 0.1}}, ALL, beside=PLANE),
+    Network(ALONE_WIDE, WIDE, PLANE),
+    Network(ALONE, NARROW, PLANE),
+    Network(ONE, {**MASKED, "views": 1}, CAR),
+    Network(FOUR, {**MASKED, "views": 4}, CAR),
+)
+
+
+def conclude_failures(cases: Cases) -> Record:
+    """The sizes and errors of every network, and whether the failures show here."""
+    values, claims = by_category(cases), []
+    summary: Record = {}
+    for case in cases:
+        name = case["setting"]
+        category, key = (CAR, "cars") if name in (ONE, FOUR) else (PLANE, "aeroplanes")
+        # What could not be measured is null in a record.
+        measured = {key: float("nan") if size is None else size for key, size in case[key].items()}
+        summary[name] = {**measured, "chamfer": values[name][category]}
+    pairs = {"trained with other categories": (SHARED, OWN), "trained alone": (ALONE_WIDE, ALONE)}
+    for where, (wide, narrow) in pairs.items():
+        if wide in summary:
+            under_wide, under_narrow = (summary[name]["body_width"] for name in (wide, narrow))
+            widths = f"body width {under_wide:.2f} of the true one under 0.4, "
+            widths += f"{under_narrow:.2f} under 0.1"
+            spans = " and ".join(f"{summary[name]['span']:.2f}" for name in (wide, narrow))
+            narrower, wider = under_wide < CLEARLY, under_wide < CLEARLY * under_narrow
+            text = f"aeroplanes {where} have"
+            claims += [
+                claim(f"{text} too narrow a body under sigma^2 = 0.4", narrower, widths),
+                claim(
+                    f"{text} a wider body under sigma^2 = 0.1",
+                    *(wider, f"{widths}; wing span {spans}"),
+                ),
+            ]
+    if ONE in summary:
+        one, four = summary[ONE], summary[FOUR]
+        depth, across = (one[key] / four[key] for key in ("depth", "across"))
+        text = "cars trained with one mask are deformed in depth, more than across, and more masks "
+        text += "correct it"
+        measured = f"squared error in depth {depth:.2f} times that with four masks, across "
+        measured += f"{across:.2f} times; extent in depth {one['extent']:.2f} and "
+        measured += f"{four['extent']:.2f} of the truth"
+        claims.append(claim(text, depth > max(1.0, across), measured))
+    return {"summary": summary, "claims": claims}
+
+
+def failures_rows(record: Record) -> Rows:
+    """The sizes of aeroplanes and the errors of cars by setting."""
+    planes, cars = {}, {}
+    for name, row in record["summary"].items():
+        if "span" in row:
+            planes[name] = {key.replace("_", " "): value for key, value in row.items()}
+        else:
+            cars[name] = {
+                "depth error x1000": 1e3 * row["depth"],
+                "across": 1e3 * row["across"],
+                "ratio": row["depth"] / row["across"],
+                "extent in depth, predicted / true": row["extent"],
+                "chamfer": row["chamfer"],
+            }
+    panels = {"aeroplanes, predicted / true": planes, "cars": cars}
+    return {title: panel for title, panel in panels.items() if panel}
+
+
+FAILURES = trained(
+    "failures",
+    FAILING,
+    900,
+    CATEGORIES,
+    conclude_failures,
+    failures_rows,
+    about="Sizes of unseen aeroplanes over the true ones (body between nose and wing, span, "
+    "length; medians), and squared errors of unseen cars along and across the line of sight. "
+    "Reduced size: 900 steps of 8, 32 shapes of a category.",
+    reading="Alone, aeroplanes have too narrow a body and too short wings under sigma^2 = 0.4, and "
+    "less so under 0.1, as the paper says. Trained with the others, the wings are short under 0.4. "
+    "Cars show no deformation in depth; with one mask a step each step sees another mask, which "
+    "may be why.",
+    measure=sizes,
+)
