@@ -9,9 +9,9 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from tso_cli.errors import InputError
+from tso_cli.errors import InputError, Interrupted
 from tso_cli.io.output import reason
 from tso_cli.option import Declared
 from tso_cli.plots.table import Cell, text_table
@@ -22,6 +22,7 @@ from .studies import QUESTIONS
 if TYPE_CHECKING:
     from .studies.shapes import Shape
 
+T = TypeVar("T")
 Record = dict[str, Any]
 Cases = list[Record]
 Draw = Callable[[Path, Record, bool], None]
@@ -206,6 +207,18 @@ def by_shape(
     settings = {**settings, "shapes": [shape.name for shape in shapes]}
     jobs = [({"shape": shape.name}, partial(make_cases, shape)) for shape in shapes]
     return Plan(settings, jobs, doing)
+
+
+def uninterrupted(result: T) -> T:
+    """What `refine`, an item of `refine_batch` or `train` returned.
+
+    Raises KeyboardInterrupt where Ctrl-C ended it: those functions keep the best so far, and no
+    number is to be made of that.
+    """
+    outcome = getattr(result, "fit", result)
+    if getattr(outcome, "stop_reason", "") == "interrupted" or isinstance(result, Interrupted):
+        raise KeyboardInterrupt
+    return result
 
 
 def _has_cases_of(shared: Record, cases: Cases) -> bool:

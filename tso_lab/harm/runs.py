@@ -12,9 +12,8 @@ from tso_cli.geometry.arrays import Array
 from tso_cli.geometry.points import longest_side, root_mean_square
 from tso_cli.refinement import RefineConfig, RefineResult, refine
 
-from ..interrupts import uninterrupted
 from ..studies.summary import rounded
-from ..study import Cases, Record
+from ..study import Cases, Record, uninterrupted
 from .scenes import Gallery, Scene
 from .troubles import TROUBLES, Trouble
 

@@ -22,9 +22,8 @@ from ..charts import draw_bars
 from ..harm.runs import BETTER, VIEWS, WORSE, altered, distance
 from ..harm.scenes import Gallery, Scene, gallery
 from ..harm.troubles import TROUBLES, Trouble
-from ..interrupts import uninterrupted
 from ..options import option
-from ..study import Cases, Plan, Progress, Record, Study, Table, claim
+from ..study import Cases, Plan, Progress, Record, Study, Table, claim, uninterrupted
 from .summary import grouped, rounded
 
 Floats = NDArray[np.float64]

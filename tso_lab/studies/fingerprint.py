@@ -30,7 +30,7 @@ from tso_cli.train.config import TrainConfig
 from tso_cli.train.loop import train
 from tso_cli.train.sources import shipped_examples
 
-from ..interrupts import uninterrupted
+from ..study import uninterrupted
 from ..views import views_around
 from .shapes import Shape, see
 

@@ -22,9 +22,8 @@ from tso_cli.train.loop import train
 
 from .. import options
 from ..charts import Rows, bars
-from ..interrupts import uninterrupted
 from ..options import option
-from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed
+from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed, uninterrupted
 from .discretised import DEPTH, PLAIN, projected_objective
 from .material import (
     ALL,

@@ -12,7 +12,7 @@ from tso_cli.network.model import BaseNetwork
 from tso_cli.optimisation.presets import Mode
 from tso_cli.refinement import RefineConfig, RefineResult, refine, refine_batch
 
-from ..interrupts import uninterrupted
+from ..study import uninterrupted
 from .cases import Case
 
 

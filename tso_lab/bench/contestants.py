@@ -1,6 +1,7 @@
-"""Refinements: whole commands, large files, single objects, batches.
+"""What `tso lab speed` times: whole commands, large files, objects, batches, losses.
 
-Imports no torch, whose memory is no part of a refinement's.
+A function for each part yields the contestants of a race. Imports no torch, whose memory is no part
+of a refinement's, before a loss needs it.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ from contextlib import contextmanager, nullcontext
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
 import numpy as np
+from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from tso_cli.errors import TsoError
@@ -29,25 +31,24 @@ from tso_cli.io.cameras import CameraRecord, write_cameras
 from tso_cli.io.images import write_image
 from tso_cli.io.meshes import read_mesh
 from tso_cli.io.shipped import examples_folder
-from tso_cli.optimisation.presets import Preset
+from tso_cli.kernels.window import window_radius
+from tso_cli.losses.chamfer import ChamferToStart
+from tso_cli.losses.projection import project_differentiably
+from tso_cli.losses.silhouette import silhouette_bce
+from tso_cli.optimisation.loop import Term
+from tso_cli.optimisation.presets import SIGMA_SQ, Preset
 from tso_cli.refinement import PRESETS, RefineConfig, refine, refine_batch
 from tso_cli.scene.load import load_points_scene
 from tso_cli.signals import waiting_signals
 
-from ..interrupts import uninterrupted
-from ..study import Cases
+from ..study import uninterrupted
 from ..views import views_around
-from .timing import (
-    IMPORT_TORCH,
-    Contestant,
-    Sample,
-    Setting,
-    as_installed,
-    never_run,
-    process,
-    timed,
-)
+from .timing import IMPORT_TORCH, Contestant, Sample, as_installed, never_run, process, timed
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Races = Iterator[list[Contestant]]
 CHAIR = examples_folder() / "chair"
 # The example starts from points of this shape.
 START = examples_folder() / "meshes" / "chair" / "q17_ChairHandle.ply"
@@ -74,8 +75,8 @@ REFINE = (*TSO, "refine", "--mode", "points")
 WIDTH, HEIGHT = 4000, 3000
 SCAN, SPLATS, FACES = 2_000_000, 100_000, 500_000
 # Of a splat in the reference implementation of Gaussian splatting, without higher colours.
-PROPERTIES = [*"xyz", "nx", "ny", "nz", *(f"f_dc_{number}" for number in range(3)), "opacity"]
-PROPERTIES += [*(f"scale_{axis}" for axis in range(3)), *(f"rot_{part}" for part in range(4))]
+PROPERTIES = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2 opacity scale_0 scale_1 scale_2 rot_0 rot_1 rot_2"
+PROPERTIES += " rot_3"
 # The command, then the peak of its process's memory.
 WATCHED = """from tso_cli.__main__ import main
 try:
@@ -85,14 +86,20 @@ finally:
     from tso_lab.bench.timing import peak_memory
     open({!r}, "w").write(json.dumps(peak_memory()))
 """
+# (points, pixels each way) of the silhouette, and points of the Chamfer distance.
+PICTURES, CLOUDS = ((1024, 64), (16384, 256)), (1024, 16384)
+STEPS = (10, 30, 50)
+"""Chamfer is measured after these of the paper's steps: hardly moved points need no search."""
+CLAMP = 1e-6
+"""Of silhouettes in torch's cross-entropy."""
 
 
 def cloud(count: int, seed: int = 0) -> Array:
     """Initial points [count, 3], longest side 1."""
     mesh, rng = read_mesh(START), np.random.default_rng([seed, count])
     samples = sample_surface(mesh.vertices, mesh.faces, max(count, SAMPLES), rng)
-    chosen = samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count]
-    return normalise_longest_side(chosen)
+    points = samples[spread_subset(samples, count)] if count <= SPREAD else samples[:count]
+    return normalise_longest_side(points)
 
 
 def chair_views(count: int = 1) -> list[View]:
@@ -102,40 +109,36 @@ def chair_views(count: int = 1) -> list[View]:
     return views_around(scene.view, scene.points, angles)
 
 
-def measure_command(setting: Setting) -> Cases:
+def commands(seed: int) -> Races:
     """Processes of bare Python, of `import torch` and of `tso` commands.
 
     A first run finds no byte code. Raises TsoError if a command fails,
     InputError if the shipped examples are missing.
     """
-    plain = {
-        "python": ("-c", "pass"),
-        "tso --version": (*TSO, "--version"),
-        "tso --help": (*TSO, "--help"),
-    }
-    contestants = [Contestant(name, process(name, words)) for name, words in plain.items()]
+    plain = {"python": ("-c", "pass")}
+    plain |= {f"tso {flag}": (*TSO, flag) for flag in ("--version", "--help")}
+    contestants = [IMPORT_TORCH]
+    contestants += [Contestant(name, process(name, words)) for name, words in plain.items()]
     calls = {"steady": (as_installed, ""), "first": (never_run, ", first run")}
     with tempfile.TemporaryDirectory() as folder:
         for points in SIZES:
             path = f"{folder}/{points}.npy"
-            np.save(path, cloud(points, setting.seed))
+            np.save(path, cloud(points, seed))
             words = (*REFINE, path, str(CHAIR / "mask.png"))
             for call, (environment, note) in calls.items():
                 name = f"tso refine --mode points, {points:,} points{note}"
                 fields = {"points": points, "call": call}
                 contestants.append(Contestant(name, process(name, words, environment), fields))
-        return setting.race("command", [IMPORT_TORCH, *contestants], "over_import_torch")
+        yield contestants
 
 
-def measure_large(
-    setting: Setting, scan: int = SCAN, splats: int = SPLATS, faces: int = FACES
-) -> Cases:
+def large_files(seed: int, scan: int = SCAN, splats: int = SPLATS, faces: int = FACES) -> Races:
     """Whole processes of `tso refine`, and the memory that they take; TsoError if one fails."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         _write_photo(folder)
-        np.save(folder / "scan.npy", cloud(scan, setting.seed).astype(np.float32))
-        (folder / "splats.ply").write_bytes(splat_file(splats, setting.seed))
+        np.save(folder / "scan.npy", cloud(scan, seed).astype(np.float32))
+        (folder / "splats.ply").write_bytes(splat_file(splats, seed))
         mesh = finer_mesh(faces)
         mesh.export(folder / "mesh.ply")
         scenes = {
@@ -143,14 +146,14 @@ def measure_large(
             "splats": ("splats.ply", CHAIR / "mask.png", splats),
             "mesh": ("mesh.ply", CHAIR / "mask.png", len(mesh.faces)),
         }
-        contestants = []
+        contestants = [IMPORT_TORCH]
         for scene, (start, mask, points) in scenes.items():
             files = (str(folder / start), str(mask))
             watched = WATCHED.format(str(folder / "peak"))
             process(scene, ("-c", watched, *REFINE[2:], *files))()
             fields = {"points": points, "peak_MiB": json.loads((folder / "peak").read_text())}
             contestants.append(Contestant(scene, process(scene, (*REFINE, *files)), fields))
-        return setting.race("large", [IMPORT_TORCH, *contestants], "over_import_torch")
+        yield contestants
 
 
 def _write_photo(folder: Path) -> None:
@@ -167,10 +170,11 @@ def _write_photo(folder: Path) -> None:
 
 def splat_file(count: int, seed: int) -> bytes:
     """A PLY file of Gaussian splats."""
-    values = np.random.default_rng(seed).normal(size=(count, len(PROPERTIES))).astype("<f4")
+    names = PROPERTIES.split()
+    values = np.random.default_rng(seed).normal(size=(count, len(names))).astype("<f4")
     values[:, :3] = cloud(count, seed)
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-    lines += [f"property float {name}" for name in PROPERTIES]
+    lines += [f"property float {name}" for name in names]
     return "\n".join([*lines, "end_header", ""]).encode() + values.tobytes()
 
 
@@ -185,47 +189,47 @@ def finer_mesh(faces: int) -> Any:
     return mesh
 
 
-def measure_object(
-    setting: Setting, sizes: Sequence[int] = SIZES, large: int = LARGE, steps: int | None = None
-) -> Cases:
+def objects(
+    seed: int, sizes: Sequence[int] = SIZES, large: int = LARGE, steps: int | None = None
+) -> Races:
     """`refine` on one core: both presets, more views, a large cloud; the default on all cores."""
-    places = [(preset, points, 1) for points in sizes for preset in PRESETS]
-    places += [("best", large, 1), *(("best", sizes[0], views) for views in MORE_VIEWS)]
-    ways = [(*place, 1, False) for place in places]
+    ways: list[tuple[Preset, int, int, int, bool]]
+    ways = [(preset, points, 1, 1, False) for points in sizes for preset in PRESETS]
+    ways += [("best", large, 1, 1, False)]
+    ways += [("best", sizes[0], views, 1, False) for views in MORE_VIEWS]
     on_threads = product((*sizes, large), sorted({1, CORES}), (False, True))
     ways += [("best", points, 1, threads, busy) for points, threads, busy in on_threads]
     contestants = [IMPORT_TORCH]
     for preset, points, views, threads, busy in dict.fromkeys(ways):
         config = RefineConfig(preset=preset, steps=steps)
-        work = partial(_refine, cloud(points, setting.seed), chair_views(views), config)
+        work = partial(_refine, cloud(points, seed), chair_views(views), config)
         fields = {"points": points, "preset": preset, "views": views}
         fields |= {"threads": threads, "busy": busy}
-        plural, neighbour = "s" if threads > 1 else "", ", busy neighbour" if busy else ""
+        plural, neighbour = "s" * (threads > 1), ", busy neighbour" * busy
         name = f"{preset}, {threads} thread{plural}{neighbour}"
-        sample = on_cores(timed(work), threads, busy)
-        contestants.append(Contestant(name, sample, fields))
-    return setting.race("object", contestants, "over_import_torch")
+        contestants.append(Contestant(name, on_cores(timed(work), threads, busy), fields))
+    yield contestants
 
 
-def measure_batch(
-    setting: Setting,
+def batches(
+    seed: int,
     batches: Mapping[tuple[Preset, int, int], Sequence[int]] = BATCHES,
     steps: int | None = None,
-) -> Cases:
+) -> Races:
     """Seconds an object of `refine_batch` in one process and on all cores."""
     contestants = [IMPORT_TORCH]
     for (preset, points, views), sizes in batches.items():
-        config, seen = RefineConfig(preset=preset, steps=steps), chair_views(views)
-        scenes = [(cloud(points, setting.seed + number), seen) for number in range(DIFFERENT)]
+        config, masks = RefineConfig(preset=preset, steps=steps), chair_views(views)
+        scenes = [(cloud(points, seed + number), masks) for number in range(DIFFERENT)]
         scene = {"preset": preset, "points": points, "views": views}
         for size, count, busy in product(sizes, sorted({1, CORES}), (False, True)):
             if not busy or size == WITH_NEIGHBOUR:
-                several = [scenes[number % DIFFERENT] for number in range(size)]
-                sample = on_cores(timed(partial(_refine_all, several, config)), count, busy)
+                batch = [scenes[number % DIFFERENT] for number in range(size)]
+                sample = on_cores(timed(partial(_refine_all, batch, config)), count, busy)
                 fields = scene | {"batch": size, "processes": count, "busy": busy}
-                name = f"refine_batch of {size}" + (", busy neighbour" if busy else "")
+                name = f"refine_batch of {size}" + ", busy neighbour" * busy
                 contestants.append(Contestant(name, sample, fields, size, size <= WITH_NEIGHBOUR))
-    return setting.race("batch", contestants, "over_import_torch")
+    yield contestants
 
 
 def _refine(points: Array, views: list[View], config: RefineConfig) -> None:
@@ -260,3 +264,93 @@ def busy_neighbour() -> Iterator[list[subprocess.Popen[bytes]]]:
         for spinner in spinners:
             spinner.kill()
             spinner.wait()
+
+
+# The two losses of the paper's preset and other ways to compute them, value and gradient.
+
+
+def silhouettes(seed: int, sizes: Sequence[tuple[int, int]] = PICTURES) -> Races:
+    """The loss of points and a mask at every size, on one thread."""
+    import torch
+
+    for count, side in sizes:
+        points_px, mask = picture(count, side, seed)
+        valid, target = np.ones(count, bool), torch.as_tensor(mask, dtype=torch.float32)
+        ways = {
+            "tso": partial(silhouette_bce, points_px, valid, mask, 1.0 - mask, SIGMA_SQ),
+            "scatter 9x9, torch": partial(scattered_loss, points_px, target),
+        }
+        fields = {"points": count, "side": side}
+        yield [Contestant(name, timed(way), fields) for name, way in ways.items()]
+
+
+def picture(count: int, side: int, seed: int = 0) -> tuple[Array, Array]:
+    """Initial points [count, 2] in the picture of the chair, ``side`` x ``side``, and its mask."""
+    (view,) = chair_views()
+    box = (-0.5, -0.5, view.camera.width - 0.5, view.camera.height - 0.5)
+    mask = area_resize(view.mask, box, side, side)[0].clip(0.0, 1.0)
+    projected = project_differentiably(cloud(count, seed), view.camera.resized(side, side))
+    return projected.points_px, mask
+
+
+def scattered_loss(points: Array, mask: Tensor) -> tuple[float, Array]:
+    """Value and gradient of the loss in plain torch: all taps, `index_add`, tanh, cross-entropy.
+
+    It has less to do than tso: it lacks the term for mask pixels that no window reaches.
+    """
+    import torch
+
+    points_px = torch.as_tensor(points, dtype=torch.float32).requires_grad_()
+    radius, side = window_radius(SIGMA_SQ), mask.shape[-1]
+    steps = torch.arange(-radius, radius + 1)
+    centre = points_px.detach().round().long()
+    column, row = (centre[:, axis : axis + 1] + steps for axis in (0, 1))  # [N, k]
+    weights_x, weights_y = (
+        torch.exp((points_px[:, axis : axis + 1] - index).square() * (-0.5 / SIGMA_SQ))
+        * ((index >= 0) & (index < side))
+        for axis, index in ((0, column), (1, row))
+    )
+    taps = weights_y.unsqueeze(2) * weights_x.unsqueeze(1)  # [N, k, k]
+    flat = row.clamp(0, side - 1).unsqueeze(2) * side + column.clamp(0, side - 1).unsqueeze(1)
+    sums = taps.new_zeros(side * side).index_add(0, flat.flatten(), taps.flatten())
+    silhouette = torch.tanh(sums).clamp(CLAMP, 1.0 - CLAMP).view_as(mask)
+    loss = torch.nn.functional.binary_cross_entropy(silhouette, mask, reduction="sum")
+    return loss.item(), torch.autograd.grad(loss, points_px)[0].numpy()
+
+
+def chamfers(seed: int, sizes: Sequence[int] = CLOUDS) -> Races:
+    """A step of the Chamfer distance to the start; on one thread unless the name says otherwise."""
+    for count in sizes:
+        initial, moved = cloud(count, seed), []
+        for steps in STEPS:
+            config = RefineConfig(preset="paper", steps=steps)
+            moved.append(uninterrupted(refine(initial, chair_views(), config=config)).points)
+        yield [
+            Contestant(name, timed(partial(_along, term, moved)), {"points": count}, len(moved))
+            for name, term in terms(initial).items()
+        ]
+
+
+def _along(term: Term, iterates: Sequence[Array]) -> None:
+    for points in iterates:
+        term(points)
+
+
+def terms(initial: Array) -> dict[str, Term]:
+    """Contestant -> its Chamfer distance to ``initial`` [N, 3]; tso's is first."""
+
+    def k_d_trees(workers: int, moved: Array) -> tuple[float, Array]:
+        """Value and gradient by nearest neighbours of all points, both ways."""
+        ahead = moved - initial[cKDTree(initial).query(moved, workers=workers)[1]]
+        nearest = cKDTree(moved).query(initial, workers=workers)[1]
+        back = moved[nearest] - initial
+        gradient = ahead.copy()
+        np.add.at(gradient, nearest, back)
+        value = float(np.square(ahead).sum() + np.square(back).sum()) / len(moved)
+        return value, (2.0 / len(moved)) * gradient
+
+    return {
+        "tso": ChamferToStart(initial),
+        "two k-d trees a step, 1 worker": partial(k_d_trees, 1),
+        "two k-d trees a step, all workers": partial(k_d_trees, -1),
+    }
