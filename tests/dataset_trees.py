@@ -17,7 +17,7 @@ from tests.io.test_shapes import binvox_bytes
 from tests.scenes import about
 from tso_cli import View
 from tso_cli.datasets.items import ObjectItem
-from tso_cli.evaluation.footprint import window_iou
+from tso_cli.evaluation.footprint import Solid, window_iou
 from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.points import farthest_point_sample, sample_surface
 from tso_cli.io.images import write_image
@@ -82,7 +82,7 @@ def agreement(item: ObjectItem) -> float:
         assert image.dtype == np.uint8
         assert mask.dtype == np.float32
         assert image.shape == (view.camera.height, view.camera.width, 3) == (*mask.shape, 3)
-        values.append(window_iou(points.astype(np.float64), View(mask, view.camera)))
+        values.append(window_iou(Solid(points.astype(np.float64)), View(mask, view.camera)))
     return min(values)
 
 

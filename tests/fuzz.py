@@ -57,7 +57,7 @@ READERS = {
     "state": ("tests.fuzz:state", ".safetensors"),
     "log": ("io.logs:read_log", ".jsonl"),
     "split": ("datasets.splits:read_split", ".json"),
-    "record": ("lab.commands.records:read_record", ".json"),
+    "record": ("tso_lab.commands.records:read_record", ".json"),
 }
 
 
@@ -65,7 +65,7 @@ def reader(name):
     """What reads files for ``name``, and their suffix."""
     place, suffix = READERS[name]
     module, function = place.split(":")
-    module = module if module.startswith("tests") else f"tso_cli.{module}"
+    module = module if module.startswith(("tests", "tso_lab")) else f"tso_cli.{module}"
     return getattr(__import__(module, fromlist=["x"]), function), suffix
 
 

@@ -93,12 +93,6 @@ NETWORK = "networks need torch, which is not installed: pip install 'tso-cli[net
             "charts need matplotlib, which is not installed: pip install 'tso-cli[plots]'",
         ),
         (
-            "mask rle.json",
-            2,
-            "rle.json: compressed run lengths need pycocotools, which is not installed: "
-            "pip install 'tso-cli[coco]'",
-        ),
-        (
             "batch items.csv -o out --engine dask",
             2,
             "--engine dask needs dask, which is not installed: pip install 'tso-cli[dask]'",

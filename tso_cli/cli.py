@@ -113,7 +113,7 @@ _SUSPICIOUS = re.compile(r"[^\n\t -~]")
 
 def _escaped(text: str) -> str:
     return _SUSPICIOUS.sub(
-        lambda found: found[0] if found[0].isprintable() else ascii(found[0])[1:-1], text
+        lambda letter: letter[0] if letter[0].isprintable() else ascii(letter[0])[1:-1], text
     )
 
 
@@ -209,7 +209,7 @@ def _fail(message: str, code: int) -> int:
 
 def with_options(message: str) -> str:
     """``message`` with parameters, which the library names in backquotes, as options."""
-    return re.sub(r"`([a-z][a-z_]*)`", lambda found: f"--{found[1].replace('_', '-')}", message)
+    return re.sub(r"`([a-z][a-z_]*)`", lambda name: f"--{name[1].replace('_', '-')}", message)
 
 
 def _one_line(message: str) -> str:

@@ -49,7 +49,6 @@ EXTRAS = {
     "torch": ("networks need", "network"),
     "matplotlib": ("charts need", "plots"),
     "open3d": ("rendering needs", "render"),
-    "pycocotools": ("compressed run lengths of COCO need", "coco"),
     "dask": ("a cluster needs", "dask"),
     "distributed": ("a cluster needs", "dask"),
     "rerun": ("recordings of the optimisation need", "rerun"),

@@ -182,7 +182,7 @@ def described(name: str, hint: Any, field: Any, help: str = "") -> Declared:
     if is_tuple and not several and option.parser is None:
         length = len(arguments)
     if is_tuple or NoneType in arguments:
-        hint = Path if Path in arguments else next(one for one in arguments if one is not NoneType)
+        hint = Path if Path in arguments else next(a for a in arguments if a is not NoneType)
     choices = get_args(hint) if get_origin(hint) is Literal else ()
     plain = str if choices else hint
     return Declared(name, option, field.default, plain, several, length, choices, optional)
@@ -196,45 +196,45 @@ def check(options: Any) -> None:
 
 def _asked(options: Any) -> Iterator[tuple[Declared, Any]]:
     """Option and value of what is neither the default nor as neutral."""
-    for name, one in declared(options.__class__).items():
+    for name, entry in declared(options.__class__).items():
         value = getattr(options, name)
-        if value is not None and value != one.default and value not in one.option.neutral:
-            yield one, value
+        if value is not None and value != entry.default and value not in entry.option.neutral:
+            yield entry, value
 
 
 def check_values(options: Any) -> None:
     """InputError for a value that an option does not take."""
-    for name, one in declared(options.__class__).items():
-        if getattr(options, name) is None and not one.optional:
-            raise InputError(f"`{one.title}` is None, expected {one.expected}")
-    for one, value in _asked(options):
-        if not one.several and not one.takes(value):
-            raise InputError(f"`{one.title}` is {_shown(value)}, expected {one.expected}")
+    for name, entry in declared(options.__class__).items():
+        if getattr(options, name) is None and not entry.optional:
+            raise InputError(f"`{entry.title}` is None, expected {entry.expected}")
+    for entry, value in _asked(options):
+        if not entry.several and not entry.takes(value):
+            raise InputError(f"`{entry.title}` is {_shown(value)}, expected {entry.expected}")
 
 
 def check_rules(options: Any) -> None:
     """InputError for options that do not go together."""
     table = declared(options.__class__)
-    for one, value in _asked(options):
-        rules, name = one.option.only, f"`{one.title}`"
-        if one.plain is not bool and not one.several:
+    for entry, value in _asked(options):
+        rules, name = entry.option.only, f"`{entry.title}`"
+        if entry.plain is not bool and not entry.several:
             name += f" {value:g}" if isinstance(value, float) else f" {value}"
         if any(getattr(options, other) not in allowed for other, allowed in rules.items()):
-            wanted = [f"`{table[o].title}` {_either(values)}" for o, values in rules.items()]
+            conditions = [f"`{table[o].title}` {_either(values)}" for o, values in rules.items()]
             present = [_present(table[other].title, getattr(options, other)) for other in rules]
-            why = one.option.why and f"; {one.option.why}"
+            why = entry.option.why and f"; {entry.option.why}"
             raise InputError(
-                f"{name} is for {' and '.join(wanted)}, found {' and '.join(present)}{why}"
+                f"{name} is for {' and '.join(conditions)}, found {' and '.join(present)}{why}"
             )
-        for other in one.option.needs:
+        for other in entry.option.needs:
             if not getattr(options, other):
                 needed = f"`{table[other].title}`"
                 file = " FILE" if table[other].plain is Path else ""
                 raise InputError(f"{name} says nothing without {needed}, expected {needed}{file}")
-        for other in one.option.excludes:
+        for other in entry.option.excludes:
             if getattr(options, other) not in (None, False, 0, ()):
                 raise InputError(
-                    f"`{one.title}` with `{table[other].title}`, expected one of the two"
+                    f"`{entry.title}` with `{table[other].title}`, expected one of the two"
                 )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tso_cli.evaluation.footprint import common_window, in_window
+from tso_cli.evaluation.footprint import Solid, common_window, in_window
 from tso_cli.geometry.points import Array, scattered
 from tso_cli.io.output import check_output
 from tso_cli.plots.style import BETTER, COLOURS, INK, WORSE, page
@@ -171,9 +171,9 @@ def draw_cases(
 
 def _draw_outlines(row: Any, case: Case, clouds: Mapping[str, Array]) -> None:
     view, names = case.views[0], ("initial", "refined")
-    box = common_window([(clouds[name], view) for name in names])
+    box = common_window([(Solid(clouds[name]), view) for name in names])
     for axis, name in zip(row, names, strict=False):
-        window = in_window(clouds[name], view, box)
+        window = in_window(Solid(clouds[name]), view, box)
         axis.imshow(1.0 - 0.45 * window.mask, cmap="gray", vmin=0.0, vmax=1.0)
         if window.silhouette.any() and not window.silhouette.all():
             axis.contour(window.silhouette, levels=[0.5], colors=WORSE, linewidths=1.2)

@@ -9,7 +9,7 @@ from tests.io.test_shapes import SQUARE_OFF, SQUARE_PLY
 from tests.scenes import block
 from tso_cli.evaluation.compare import evaluate
 from tso_cli.evaluation.config import EvalConfig
-from tso_cli.evaluation.footprint import IOU_MEANS, window_iou
+from tso_cli.evaluation.footprint import IOU_MEANS, Solid, window_iou
 from tso_cli.evaluation.metrics import chamfer, emd, iou
 from tso_cli.evaluation.pairs import Pair
 from tso_cli.geometry.camera import Camera
@@ -409,7 +409,7 @@ def test_iou_is_of_the_picture_without_lens_distortion(pictured, document):
         path.write_text(json.dumps({**lens, "k1": k1, "frames": [frame]}))
         (view,) = load_views(ViewFiles([mask], path))[0]
         found = document(cloud, cloud, "--iou", "--mask", mask, "--camera", path)
-        assert found["mean"]["iou"] == window_iou(read_cloud(cloud).points, view)
+        assert found["mean"]["iou"] == window_iou(Solid(read_cloud(cloud).points), view)
         scores.append(found["mean"]["iou"])
     assert scores[0] != scores[1]
 

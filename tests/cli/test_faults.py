@@ -410,7 +410,8 @@ def test_a_signal_while_trimesh_is_imported_ends_the_command(tmp_path, name, par
         "sys.meta_path.insert(0, Signalled())\n"
         "from tso_cli.cli import main\nmain()"
     )
-    mesh = next((ROOT / "examples" / "meshes").rglob("*.ply"))
+    mesh = tmp_path / "mesh.off"
+    mesh.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
     run = started("eval", mesh, mesh, program=program)
     assert run.communicate()[1].splitlines()[-1] == "tso: error: interrupted"
     assert run.returncode == 130

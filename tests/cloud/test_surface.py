@@ -16,7 +16,7 @@ from tso_cli.cloud.control_points import CONTROL_POINTS
 from tso_cli.cloud.interpolation import INTERPOLATED_FROM, falling_weights
 from tso_cli.cloud.surface import RIDGE, SOLVED, Surface, SurfaceSamples
 from tso_cli.diagnosis.findings import Finding
-from tso_cli.evaluation.footprint import common_window, window_iou
+from tso_cli.evaluation.footprint import Solid, common_window, window_iou
 from tso_cli.evaluation.metrics import chamfer, nearest_squared
 from tso_cli.geometry.points import sample_surface
 from tso_cli.io.clouds import read_cloud
@@ -92,10 +92,11 @@ def test_a_result_of_a_mesh_is_measured_at_many_points_of_its_faces(stretched, v
     assert stretched.control_points == CONTROL_POINTS
     np.testing.assert_allclose(before, surface.at(CORNERS), atol=1e-12)
     np.testing.assert_allclose(after, surface.at(stretched.points), atol=1e-12)
+    solids = Solid(CORNERS, BOX), Solid(stretched.points, BOX)
     for view, of_view in zip(views, stretched.views, strict=True):
-        box = common_window([(before, view), (after, view)])
-        assert of_view.iou_before == window_iou(before, view, box)
-        assert of_view.iou_after == window_iou(after, view, box)
+        box = common_window([(solid, view) for solid in solids])
+        assert of_view.iou_before == window_iou(solids[0], view, box)
+        assert of_view.iou_after == window_iou(solids[1], view, box)
         assert of_view.iou_after > of_view.iou_before + 0.04
 
 

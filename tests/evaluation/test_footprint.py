@@ -10,14 +10,8 @@ from scipy.spatial import cKDTree
 
 from tests.scenes import EXAMPLES, block, example, in_photo
 from tso_cli import Camera, RefineConfig, View, refine
-from tso_cli.evaluation.footprint import (
-    RIM,
-    common_window,
-    footprint,
-    in_window,
-    spacing,
-    window_iou,
-)
+from tso_cli.evaluation import footprint as module
+from tso_cli.evaluation.footprint import RIM, Solid, common_window, footprint, spacing
 from tso_cli.geometry.resampling import area_resize
 from tso_cli.geometry.window import window_of
 from tso_cli.io.meshes import read_mesh
@@ -30,6 +24,15 @@ from tso_cli.render.viewpoints import fitting_distance, look_at
 NAMES = ("chair", "car", "airplane")
 # One unit is 100 px; x to the right, y down.
 FLAT = Camera(np.diag([100.0, 100.0, 1.0]), np.eye(3), np.zeros(3), 100, 100, "orthographic")
+
+
+def window_iou(points, view, box=None):
+    """The IoU of a cloud."""
+    return module.window_iou(Solid(points), view, box)
+
+
+def in_window(points, view, box):
+    return module.in_window(Solid(points), view, box)
 
 
 def _example(name):
@@ -76,7 +79,7 @@ def test_the_truth_scores_near_1_on_every_example_and_about_the_same_on_a_mask_o
 
 
 @pytest.mark.parametrize("mesh", ["chair/kfurn_chairDesk", "airplane/qplane_Private_plane"])
-def test_more_points_bring_the_truth_nearer_to_1(mesh):
+def test_more_points_bring_the_truth_nearer_to_1_and_its_triangles_reach_it(mesh):
     shape = normalise(read_mesh(EXAMPLES / "meshes" / f"{mesh}.ply"))
     camera = look_at(
         35.0,
@@ -90,6 +93,8 @@ def test_more_points_bring_the_truth_nearer_to_1(mesh):
     assert len(samples) == 16384
     assert window_iou(target, view) > 0.92
     assert window_iou(samples, view) > 0.96
+    # Its triangles are the truth itself.
+    assert module.window_iou(Solid(shape.vertices, shape.faces), view) > 0.995
 
 
 @pytest.mark.parametrize(("name", "size"), [("car", 64), ("airplane", 256)])
@@ -193,8 +198,8 @@ def test_points_at_the_camera_take_no_part():
 def test_the_common_window_holds_both_clouds():
     points, view = _example("chair")
     moved = points + 0.3 * view.camera.R[0]
-    box = common_window([(points, view), (moved, view)])
-    assert box == common_window([(moved, view), (points, view)])
+    box = common_window([(Solid(points), view), (Solid(moved), view)])
+    assert box == common_window([(Solid(moved), view), (Solid(points), view)])
     alone = np.array([window_of(view, cloud) for cloud in (points, moved)])
     assert box == (*alone.min(0)[:2], *alone.max(0)[2:])
     assert window_iou(moved, view, box) != window_iou(moved, view, window_of(view, points))
@@ -203,9 +208,9 @@ def test_the_common_window_holds_both_clouds():
 def test_before_and_after_are_compared_in_one_window():
     scene = example("chair")
     result = refine(scene.points, scene.view, config=RefineConfig(steps=6))
-    stages = [(points, scene.view) for points in result.measured]
+    stages = [(solid, scene.view) for solid in result.solids]
     box = common_window(stages)
-    before, after = (window_iou(*stage, box) for stage in stages)
+    before, after = (module.window_iou(*stage, box) for stage in stages)
     assert result.fit.iou_before == before
     assert result.fit.iou_after == after
     assert before < after

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..evaluation.footprint import Solid
 from ..geometry.arrays import Array, Bits, as_numbers
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.view import View
@@ -89,17 +90,17 @@ class Cloud:
         distant = self.points[outliers]
         if views and len(distant) and are_part_of_object(distant, len(self.points), views):
             outliers = left_out
-        seen = ~outliers & ~self.faint
-        decides = self.surface.at(self.points) if self.surface else self.points[seen]
-        if views and not self.predicted and (others := find_left_out(decides, views)):
-            left_out = others.holds(self.points) & ~outliers
+        visible = ~outliers & ~self.faint
+        decides = self.surface.at(self.points) if self.surface else self.points[visible]
+        if views and not self.predicted and (unmasked := find_left_out(decides, views)):
+            left_out = unmasked.holds(self.points) & ~outliers
         if self.surface:
             surface, left_out = self.surface.without(left_out)
             samples = SurfaceSamples(surface, most or CONTROL_POINTS)
             return ControlledCloud(self, left_out, samples, left_out)
         outliers = outliers | left_out
         most = None if self.predicted else most
-        subset = Subset(self.points, seen & ~outliers, most, self.faint & ~outliers)
+        subset = Subset(self.points, visible & ~outliers, most, self.faint & ~outliers)
         return ControlledCloud(self, outliers, subset, left_out)
 
 
@@ -145,6 +146,11 @@ class ControlledCloud:
         return self._control.measured(self.source.points)
 
     @property
+    def solid(self) -> Solid:
+        """What has its silhouette: the points that are measured, or the triangles of a mesh."""
+        return self._control.solid(self.source.points)
+
+    @property
     def body(self) -> Body:
         """What of it is compared with masks when it moves as one."""
         return Body(self.measured, self.centre, self.scale)
@@ -172,8 +178,8 @@ class ControlledCloud:
         of_points = self._follow(displacements)
         # Added to what was given, so that unmoved points stay the same to the last bit.
         points = self.source.points + self.scale * of_points
-        measured = self._control.measured(points)
-        return MovedCloud(points, measured, self._control.at_control_points(of_points))
+        measured, solid = self._control.measured(points), self._control.solid(points)
+        return MovedCloud(points, measured, solid, self._control.at_control_points(of_points))
 
     def _follow(self, displacements: Array) -> Array:
         """[V, 3], of all points, by those of the control points [N, 3]."""
@@ -188,6 +194,7 @@ class MovedCloud:
 
     points: Array  # [V, 3], of the cloud, or the vertices of the mesh
     measured: Array  # [M, 3], as `ControlledCloud.measured`
+    solid: Solid  # as `ControlledCloud.solid`
     displacements: Array  # [N, 3] of the control points, in longest sides
 
 
@@ -207,6 +214,6 @@ def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:
     if np.asarray(colours).dtype == np.uint8:
         as_floats = as_floats / np.float32(255.0)
     if not (as_floats.min() >= 0.0 and as_floats.max() <= 1.0):
-        found = f"{as_floats.min():g} to {as_floats.max():g}"
-        raise InputError(f"{name}: the colours span {found}, expected 0 to 1, or uint8")
+        span = f"{as_floats.min():g} to {as_floats.max():g}"
+        raise InputError(f"{name}: the colours span {span}, expected 0 to 1, or uint8")
     return as_floats

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..evaluation.footprint import window_iou
+from ..evaluation.footprint import Solid, window_iou
 from ..geometry.arrays import Array, Bits
 from ..geometry.points import bounding_box_normalisation, longest_side, quantile, scattered
 from ..geometry.view import View
@@ -100,29 +100,29 @@ class LeftOut:
 def find_left_out(points: Array, views: Sequence[View]) -> LeftOut | None:
     """What of a cloud of ``points`` [N, 3] is not the object; None if all of it may be."""
     points = scattered(points, DECIDING)
-    some = some_views(views, MOST_VIEWS)
-    targets = tuple(Target.of(view, SIDE) for view in some)
-    left = _left_out(points, targets)
-    if not LEAST_SHARE <= left.mean() < 1.0:
+    few_views = some_views(views, MOST_VIEWS)
+    targets = tuple(Target.of(view, SIDE) for view in few_views)
+    outside = _left_out(points, targets)
+    if not LEAST_SHARE <= outside.mean() < 1.0:
         return None
-    ground = _ground(points, left)
+    ground = _ground(points, outside)
     if ground is not None:
         above = points[~ground.holds(points)]
         if _overlap(above, views) < _overlap(points, views) + Ground.LEAST_GAIN:
             ground = None
         else:
             with_base = replace(ground, base=True)
-            rest = points[~(with_base.holds(points) | left)]
-            if _missed(rest, some) < min(FITS_NEARLY, _missed(above, some)):
+            rest = points[~(with_base.holds(points) | outside)]
+            if _missed(rest, few_views) < min(FITS_NEARLY, _missed(above, few_views)):
                 ground = with_base
-    rest = points[~(left if ground is None else left | ground.holds(points))]
-    far = 2 * _left_out(points, targets, FAR).sum() >= left.sum()
+    rest = points[~(outside if ground is None else outside | ground.holds(points))]
+    far = 2 * _left_out(points, targets, FAR).sum() >= outside.sum()
     if (
         far
         and longest_side(rest) > 0.0
-        and (missed := _missed(rest, some)) < FITS
+        and (missed := _missed(rest, few_views)) < FITS
         # A longer object is outside of the masks too.
-        and missed < missed_if_stretched(_body(points), some) - SIMILAR
+        and missed < missed_if_stretched(_body(points), few_views) - SIMILAR
     ):
         return LeftOut(targets, ground)
     return None if ground is None else LeftOut((), ground)
@@ -133,17 +133,17 @@ def _left_out(points: Array, targets: Sequence[Target], least: float = APART) ->
 
     Such a point is farther from the mask than ``least``, in cells or pixels.
     """
-    seen, without = np.zeros((2, len(points)), np.int64)
+    views_of_point, without = np.zeros((2, len(points)), np.int64)
     for target in targets:
         px, _, visible = target.camera.project_visible(points)
         px = np.where(visible[:, None], px, 0.0)
         row, column, within = target.at(px)
-        shown = visible & np.where(within, target.known[row, column], not target.truncated)
+        in_view = visible & np.where(within, target.known[row, column], not target.truncated)
         apart = np.linalg.norm(target.nearest[row, column] - px, axis=1)
         outside = apart > least * max(1.0, target.pixel)
-        seen += shown
-        without += shown & outside
-    return np.asarray(2 * without >= np.maximum(seen, 1))
+        views_of_point += in_view
+        without += in_view & outside
+    return np.asarray(2 * without >= np.maximum(views_of_point, 1))
 
 
 def _missed(points: Array, views: Sequence[View]) -> float:
@@ -155,18 +155,18 @@ def _body(points: Array) -> Body:
 
 
 def _overlap(points: Array, views: Sequence[View]) -> float:
-    some = some_views(views, OVERLAPPING_VIEWS)
-    return float(np.mean([window_iou(points, view) for view in some]))
+    few_views = some_views(views, OVERLAPPING_VIEWS)
+    return float(np.mean([window_iou(Solid(points), view) for view in few_views]))
 
 
-def _ground(points: Array, left: Bits) -> Plane | None:
-    """The ground, of ``points`` [N, 3] that are ``left`` [N] out."""
-    kept = points[~left]
-    low, high = (quantile(kept, share) for share in (Ground.TAIL, 1.0 - Ground.TAIL))
+def _ground(points: Array, left_out: Bits) -> Plane | None:
+    """The ground, of ``points`` [N, 3] that are ``left_out`` [N]."""
+    body = points[~left_out]
+    low, high = (quantile(body, share) for share in (Ground.TAIL, 1.0 - Ground.TAIL))
     size = float((high - low).max())
     half = Ground.HALF_THICKNESS * size
-    middle = kept.mean(0)
-    outside, inside = (scattered(some, OF_PLANE) - middle for some in (points[left], kept))
+    middle = body.mean(0)
+    outside, inside = (scattered(part, OF_PLANE) - middle for part in (points[left_out], body))
     first, second, third = outside[
         np.random.default_rng(0).integers(0, len(outside), (3, Ground.TRIES))
     ]
@@ -202,7 +202,7 @@ def _ground(points: Array, left: Bits) -> Plane | None:
     in_plane = points @ axes[:2].T
     above = in_plane[~below]
     low, high = (quantile(above, share) for share in (Ground.TAIL, 1.0 - Ground.TAIL))
-    beyond = ((in_plane < low) | (in_plane > high)).any(1) & left
+    beyond = ((in_plane < low) | (in_plane > high)).any(1) & left_out
     if beyond[below].mean() <= Ground.LEAST_BEYOND:
         return None
     return Plane(np.stack([*axes[:2], normal]), height, low, high, 2.0 * half)

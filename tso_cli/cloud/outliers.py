@@ -40,9 +40,9 @@ def find_outliers(points: Array) -> Bits:
 
     One outlier at ten times the object's size would leave the object a tenth of every window.
     """
-    found = _beyond_gaps(points)
-    found[~found] = _single(points[~found])
-    return found if found.mean() <= LARGEST_SHARE_OF_OUTLIERS else np.zeros(len(points), bool)
+    outlying = _beyond_gaps(points)
+    outlying[~outlying] = _single(points[~outlying])
+    return outlying if outlying.mean() <= LARGEST_SHARE_OF_OUTLIERS else np.zeros(len(points), bool)
 
 
 def are_part_of_object(points: Array, count: int, views: Sequence[View]) -> bool:
@@ -71,13 +71,13 @@ def _middle(points: Array) -> tuple[Array, Array, float]:
 def _beyond_gaps(points: Array) -> Bits:
     """[N], points beyond a long gap along an axis, as seen from the middle half of the points."""
     low, high, size = _middle(points)
-    found = np.zeros(len(points), bool)
+    outlying = np.zeros(len(points), bool)
     for beyond in (*(low - points).T, *(points - high).T) if size > 0.0 else ():
         ordered = np.sort(beyond[beyond > 0.0])
         (ends,) = np.nonzero(np.diff(ordered, prepend=0.0) > GAP * size)
         if len(ends):
-            found |= beyond >= ordered[ends[0]]
-    return found
+            outlying |= beyond >= ordered[ends[0]]
+    return outlying
 
 
 def _single(points: Array) -> Bits:
@@ -85,12 +85,12 @@ def _single(points: Array) -> Bits:
     low, high, size = _middle(points)
     (outside,) = np.nonzero((np.maximum(low - points, points - high) > FAR * size).any(1))
     places = np.unique(scattered(points, PLACES), axis=0)
-    found = np.zeros(len(points), bool)
+    outlying = np.zeros(len(points), bool)
     if len(outside) and len(places) > NEIGHBOUR:
         median = float(quantile(_to_fourth(scattered(places, SAMPLE), places), 0.5))
         least = max(FAR * size, MEDIANS_OF_OUTLIERS * median)
-        found[outside] = _to_fourth(points[outside], places) > least
-    return found
+        outlying[outside] = _to_fourth(points[outside], places) > least
+    return outlying
 
 
 def find_sparse(points: Array) -> Bits:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..evaluation.footprint import Solid
 from ..geometry.arrays import Array, Bits
 from ..losses.nearest import nearest_few
 from .interpolation import INTERPOLATED_FROM, falling_weights
@@ -55,6 +56,10 @@ class Subset:
         """[M, C], the ``values`` [V, C] of all points but outliers."""
         return values if self._all_inliers else values[self._inliers]
 
+    def solid(self, values: Array) -> Solid:
+        """The points that are measured, at ``values`` [V, 3]."""
+        return Solid(self.measured(values))
+
     def follow(self, displacements: Array) -> Array:
         """Displacements [V, 3] of all points by those of the control points [S, 3].
 
@@ -76,13 +81,13 @@ class Subset:
 
     def _interpolated(self, points: Array, displacements: Array) -> Array:
         """Displacements of ``points`` [M, 3]: means of the nearest control points'."""
-        found = np.empty_like(points)
+        moved = np.empty_like(points)
         count = min(INTERPOLATED_FROM, len(self.control_points))
         for start in range(0, len(points), INTERPOLATED_AT_ONCE):
             part = slice(start, start + INTERPOLATED_AT_ONCE)
-            some = points[part]
-            near = nearest_few(some, self.control_points, count)
-            squared = np.square(some[:, None] - self.control_points[near]).sum(2)
+            block = points[part]
+            near = nearest_few(block, self.control_points, count)
+            squared = np.square(block[:, None] - self.control_points[near]).sum(2)
             weights = falling_weights(np.sqrt(squared))
-            found[part] = (weights[..., None] * displacements[near]).sum(1)
-        return found
+            moved[part] = (weights[..., None] * displacements[near]).sum(1)
+        return moved

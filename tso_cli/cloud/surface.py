@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
+from ..evaluation.footprint import Solid
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.points import CANDIDATES, as_triangles, draw_surface, spread_subset
 from ..io.paint import Paint
@@ -57,21 +58,19 @@ class Surface:
 
         And [V], the vertices that only such faces join. The surface stays if nothing would be left.
         """
-        kept = ~left_out[self.triangles].all(1)
-        if kept.all() or not kept.any():
+        whole = ~left_out[self.triangles].all(1)
+        if whole.all() or not whole.any():
             return self, np.zeros(len(left_out), bool)
-        part = Surface(self.vertices, self.triangles[kept])
-        part.faces = np.flatnonzero(kept)[part.faces]
+        part = Surface(self.vertices, self.triangles[whole])
+        part.faces = np.flatnonzero(whole)[part.faces]
         left_out = np.zeros(len(left_out), bool)
-        left_out[self.triangles[~kept]] = True
-        left_out[self.triangles[kept]] = False
+        left_out[self.triangles[~whole]] = True
+        left_out[self.triangles[whole]] = False
         return part, left_out
 
-    def at(self, values: Array, chosen: Indices | slice = slice(None)) -> Array:
-        """[S, C], ``values`` [V, C] of the vertices interpolated at the ``chosen`` points."""
-        interpolated: Array = np.einsum(
-            "sk,skc->sc", self.shares[chosen], values[self.corners[chosen]]
-        )
+    def at(self, values: Array, rows: Indices | slice = slice(None)) -> Array:
+        """[S, C], ``values`` [V, C] of the vertices interpolated at the ``rows`` points."""
+        interpolated: Array = np.einsum("sk,skc->sc", self.shares[rows], values[self.corners[rows]])
         return interpolated
 
 
@@ -97,12 +96,17 @@ class SurfaceSamples:
 
     def painted(self, paint: Paint) -> Array:
         """[S, 3], the colours of a ``paint`` at the control points."""
-        surface, chosen = self._surface, self._chosen
-        return paint.at(surface.faces[chosen], surface.shares[chosen])
+        surface, rows = self._surface, self._chosen
+        return paint.at(surface.faces[rows], surface.shares[rows])
 
     def measured(self, values: Array) -> Array:
         """[M, C], the same at all points drawn by area: the surface as it is measured."""
         return self._surface.at(values)
+
+    def solid(self, values: Array) -> Solid:
+        """The triangles with their vertices at ``values`` [V, 3]."""
+        joined, faces = np.unique(self._surface.triangles, return_inverse=True)
+        return Solid(values[joined], faces.reshape(-1, 3))
 
     def follow(self, displacements: Array) -> Array:
         """Displacements [V, 3] of the vertices by those of the control points [S, 3].

@@ -61,31 +61,31 @@ class Dataset:
         neither an object nor skipped.
         """
         listed = set(names)
-        chosen = [item for item in self.objects if original(item.name) in listed]
-        missing = sorted(listed - {original(item.name) for item in chosen} - set(self.skipped))
+        items = [item for item in self.objects if original(item.name) in listed]
+        missing = sorted(listed - {original(item.name) for item in items} - set(self.skipped))
         if missing:
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise InputError(
                 f"{source}: names {missing[0]}{more}, expected objects of {self.description}"
             )
-        if not chosen:
+        if not items:
             raise InputError(
                 f"{source}: names no object that can be used, expected some of {self.description}"
             )
-        return replace(self, objects=chosen)
+        return replace(self, objects=items)
 
     def with_points(self, strict: bool = False) -> Dataset:
         """The objects that have a 3D file; all objects if none of them has.
 
         The other objects are skipped; with ``strict`` they are an InputError.
         """
-        chosen = [item for item in self.objects if item.target is not None]
-        if not chosen:
+        items = [item for item in self.objects if item.target is not None]
+        if not items:
             return self
         lacking = {item.name: item.lacking for item in self.objects if item.target is None}
         if lacking and strict:
             raise InputError(next(iter(lacking.values())))
-        return replace(self, objects=chosen, skipped={**self.skipped, **lacking})
+        return replace(self, objects=items, skipped={**self.skipped, **lacking})
 
 
 def copied(name: str, copy: int) -> str:

@@ -38,8 +38,8 @@ def open_dataset(folder: Path, strict: bool = False, own_scale: bool = False) ->
     Raises InputError if ``folder`` has no known layout or two of them, or if no object can be used.
     """
     if not folder.is_dir():
-        found = "is a file" if folder.exists() else "does not exist"
-        raise InputError(f"{folder}: {found}, expected a data set: {LAYOUTS}")
+        problem = "is a file" if folder.exists() else "does not exist"
+        raise InputError(f"{folder}: {problem}, expected a data set: {LAYOUTS}")
     folders, files = common.listed(folder)
     layouts: dict[str, Opener] = {}
     if TABLE in files:

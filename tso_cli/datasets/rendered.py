@@ -124,7 +124,7 @@ class ObjectWriter:
         folder, unfinished = self.root / name, self.root / UNFINISHED
         # Each process has its own name: the system may have no locks.
         new, old = unfinished / f"new.{os.getpid()}", unfinished / "old" / name
-        made = [parent for parent in folder.parents if not parent.exists()]
+        new_folders = [parent for parent in folder.parents if not parent.exists()]
         try:
             folder.parent.mkdir(parents=True, exist_ok=True)
             new.mkdir(parents=True)
@@ -150,7 +150,7 @@ class ObjectWriter:
             self.clear()
             # Folders that hold an object stay: rmdir fails.
             with suppress(OSError):
-                for path in made:
+                for path in new_folders:
                     path.rmdir()
 
     def clear(self) -> None:

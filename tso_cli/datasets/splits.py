@@ -35,15 +35,15 @@ def read_split(path: Path) -> dict[str, list[str]]:
     split = {part: list(dict.fromkeys(split[part])) for part in PARTS if part in split}
     if not any(split.values()):
         raise InputError(f"{path}: names no object, expected some for {', '.join(PARTS)}")
-    seen: dict[str, str] = {}
+    part_of: dict[str, str] = {}
     for part, names in split.items():
         for name in names:
-            if name in seen:
+            if name in part_of:
                 raise InputError(
-                    f"{path}: names {shown(name)} for {seen[name]} and for {part}, "
+                    f"{path}: names {shown(name)} for {part_of[name]} and for {part}, "
                     "expected one of them"
                 )
-            seen[name] = part
+            part_of[name] = part
     return split
 
 

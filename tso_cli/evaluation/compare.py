@@ -12,11 +12,11 @@ from ..errors import InputError, prefixed
 from ..geometry.arrays import Array
 from ..geometry.points import farthest_point_sample, normalise_longest_side
 from ..io.masks import MaskChoice
-from ..io.shapes import read_shape, shape_kind
+from ..io.shapes import read_shape, read_surface, shape_kind
 from ..losses.silhouette import silhouette_of
 from ..version import __version__
 from .config import FIELDS, METRICS, EvalConfig
-from .footprint import IOU_MEANS, window_iou
+from .footprint import IOU_MEANS, Solid, window_iou
 from .metrics import F_SCORE_SHARE, chamfer, emd, f_score, iou
 from .pairs import Pair
 
@@ -99,9 +99,12 @@ def _centre(points: Array) -> Array:
 
 def _measure_iou(points: Array, pair: Pair, config: EvalConfig) -> dict[str, Any]:
     scores = []
+    thinned = config.as_vertices or config.points is not None or config.sigma_sq is not None
+    surface = None if thinned else read_surface(pair.prediction)
+    solid = Solid(*(surface or (points,)))
     for view in pair.views(MaskChoice(config.label, config.mask_index)):
         if config.sigma_sq is None:
-            scores.append(window_iou(points, view))
+            scores.append(window_iou(solid, view))
             continue
         with prefixed(f"{pair.prediction} against {view.name}: "):
             drawn = silhouette_of(points, view.camera, config.sigma_sq)

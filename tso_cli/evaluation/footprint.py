@@ -1,9 +1,9 @@
-"""The silhouette of a cloud, and its IoU with a mask.
+"""The silhouette of a cloud or mesh, and its IoU with a mask.
 
-A disc closes the gaps between the projected points: they are dilated by the disc, then eroded by a
-little less, with distance transforms on a grid of the window. The radius of the disc depends on the
-spacing of the points alone, so that neither the size of the photo nor the number of points decides
-what is a gap.
+The silhouette of a mesh is that of its triangles. Of a cloud, a disc closes the gaps between the
+projected points: they are dilated by the disc, then eroded by a little less, with distance
+transforms on a grid of the window. The radius of the disc depends on the spacing of the points
+alone, so that neither the size of the photo nor the number of points decides what is a gap.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..geometry.arrays import Array, Bits, Box
+from ..geometry.arrays import Array, Bits, Box, Indices
 from ..geometry.camera import Camera
 from ..geometry.points import longest_side, quantile
+from ..geometry.raster import ACROSS, mostly_covered
 from ..geometry.resampling import nearest_cell
 from ..geometry.view import View
 from ..geometry.window import window_of
@@ -32,10 +33,27 @@ RIM = 0.15
 MOST_CELLS, LEAST_CELLS = 256, 214
 
 IOU_MEANS = (
-    "intersection over union of the mask (> 0.5) and the cloud's silhouette, its points joined "
+    "intersection over union of the mask (> 0.5) and the silhouette, points of a cloud joined "
     f"over gaps of up to {2.0 * EVEN:g} to {2.0 * RANDOM:g} spacings, over the known pixels of the "
     "square around both; mean over views"
 )
+
+
+class Solid(NamedTuple):
+    """What has a silhouette: the ``points`` [N, 3] of a cloud, or vertices and ``faces`` [F, 3]."""
+
+    points: Array
+    faces: Indices | None = None
+
+    def silhouette(self, camera: Camera) -> Bits:
+        """The silhouette [H, W] in the image of ``camera``."""
+        if self.faces is None:
+            return footprint(self.points, camera)
+        edges = -0.5, -0.5, camera.width - 0.5, camera.height - 0.5
+        fine = camera.cropped(edges, ACROSS * camera.width, ACROSS * camera.height)
+        pixels, _, visible = fine.project_visible(self.points)
+        triangles = pixels[self.faces[visible[self.faces].all(1)]]
+        return mostly_covered(triangles, camera.height, camera.width)
 
 
 class WindowGrid(NamedTuple):
@@ -59,28 +77,28 @@ class WindowImages(NamedTuple):
     known: Bits | None
 
 
-def common_window(stages: Sequence[tuple[Array, View]]) -> Box:
-    """Left, top, right, bottom of the window that holds a mask and several clouds [N, 3].
+def common_window(stages: Sequence[tuple[Solid, View]]) -> Box:
+    """Left, top, right, bottom of the window that holds a mask and several solids.
 
-    Each cloud is projected by the camera of its own view.
+    Each is projected by the camera of its own view.
     """
-    edges = np.array([window_of(view, points) for points, view in stages])
+    edges = np.array([window_of(view, solid.points) for solid, view in stages])
     left, top = edges[:, :2].min(0).tolist()
     right, bottom = edges[:, 2:].max(0).tolist()
     return left, top, right, bottom
 
 
-def window_iou(points: Array, view: View, box: Box | None = None) -> float:
-    """IoU of the silhouette of ``points`` [N, 3] and the mask (> 0.5) in the window ``box``.
+def window_iou(solid: Solid, view: View, box: Box | None = None) -> float:
+    """IoU of the silhouette of ``solid`` and the mask (> 0.5) in the window ``box``.
 
-    Only known pixels count. The default window is the square around mask and cloud. The IoU is 0 if
+    Only known pixels count. The default window is the square around mask and solid. The IoU is 0 if
     the window is so large that its cells miss all known pixels.
     """
-    score = iou(*in_window(points, view, window_of(view, points) if box is None else box))
+    score = iou(*in_window(solid, view, box or window_of(view, solid.points)))
     return 0.0 if np.isnan(score) else score
 
 
-def in_window(points: Array, view: View, box: Box) -> WindowImages:
+def in_window(solid: Solid, view: View, box: Box) -> WindowImages:
     """Silhouette and mask, as `window_iou` compares them, in the part of ``box`` in the image.
 
     A window of fewer than 256 pixels is compared pixel by pixel; a pixel is in the silhouette if
@@ -90,8 +108,10 @@ def in_window(points: Array, view: View, box: Box) -> WindowImages:
     camera = view.camera
     edges, width, height, step, fine = grid_of(camera, box)
     left, top, _, _ = edges
+    if solid.faces is not None:
+        fine = 1  # triangles are drawn with several samples in a cell
     part = camera.cropped(edges, fine * width, fine * height)
-    silhouette = footprint(points, part)
+    silhouette = solid.silhouette(part)
     if fine > 1:
         silhouette = silhouette.reshape(height, fine, width, fine).mean((1, 3)) > 0.5
     columns, rows = (
@@ -106,7 +126,7 @@ def grid_of(camera: Camera, box: Box) -> WindowGrid:
     """The cells of the part of ``box`` in the image of ``camera`` (`in_window`)."""
     first, last = np.array(box).reshape(2, 2)
     step, fine = float((last - first).max()) / MOST_CELLS, 1
-    if step < 1.0:
+    if step <= 1.0:
         first, last = np.floor(first + 0.5) - 0.5, np.ceil(last + 0.5) - 0.5
         step, fine = 1.0, int(np.ceil(LEAST_CELLS / float((last - first).max())))
     size = np.array([camera.width, camera.height])

@@ -38,8 +38,9 @@ class Distortion:
         Beyond it the polynomial turns back, and would show the middle of the picture a second time.
         """
         radius = np.linspace(0.0, FARTHEST, STEPS)
-        shown, _ = Distortion(self.model, self._radial()).distorted(radius, np.zeros_like(radius))
-        turns = np.flatnonzero(~(np.diff(shown) > 0.0))
+        radial = Distortion(self.model, self._radial())
+        distorted_radius, _ = radial.distorted(radius, np.zeros_like(radius))
+        turns = np.flatnonzero(~(np.diff(distorted_radius) > 0.0))
         return float(radius[turns[0]]) if len(turns) else np.inf
 
     def _radial(self) -> tuple[float, ...]:
@@ -91,10 +92,13 @@ def undistorted(
         x, y = distortion.distorted(x, y)
         u = K[0, 0] * x + K[0, 1] * y + K[0, 2]
         v = K[1, 1] * y + K[1, 2]
-        seen = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
-        seen &= np.hypot((columns - K[0, 2]) / K[0, 0], (rows[:, None] - K[1, 2]) / K[1, 1]) < reach
-        inside[rows] = seen
-        out[rows] = _sampled(channels, np.where(seen, u, 0.0), np.where(seen, v, 0.0), nearest)
+        in_picture = (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5)
+        x, y = (columns - K[0, 2]) / K[0, 0], (rows[:, None] - K[1, 2]) / K[1, 1]
+        in_picture &= np.hypot(x, y) < reach
+        inside[rows] = in_picture
+        out[rows] = _sampled(
+            channels, np.where(in_picture, u, 0.0), np.where(in_picture, v, 0.0), nearest
+        )
     return out.reshape(picture.shape), inside
 
 

@@ -37,7 +37,9 @@ def shrunk(view: View, pixels: float) -> View:
     around = FINE * margin
     inside = np.pad(np.kron(part, np.ones((FINE, FINE))) > 0.5, around, mode="edge")
     reach = int(np.ceil(FINE * (abs(pixels) / MOST_SHARE + 1.0)))
-    out, into = (np.minimum(distance_to_nearest(some, reach), reach) for some in (inside, ~inside))
+    out, into = (
+        np.minimum(distance_to_nearest(region, reach), reach) for region in (inside, ~inside)
+    )
     outward = blurred(out - into, BLUR)
     outward = outward[around:-around, around:-around]
     pixels = min(pixels, -MOST_SHARE * float(outward.min()) / FINE)

@@ -88,10 +88,10 @@ def farthest_point_sample(points: ArrayLike, count: int) -> Indices:
     x, y, z = (np.ascontiguousarray(column) for column in array.T)
     squared, difference = np.empty(total), np.empty(total)
     nearest = np.full(total, np.inf)  # squared distance to the nearest chosen point
-    chosen = np.empty(count, dtype=np.int64)
+    sample = np.empty(count, dtype=np.int64)
     index = 0
     for i in range(count):
-        chosen[i] = index
+        sample[i] = index
         np.subtract(x, x[index], out=squared)
         np.multiply(squared, squared, out=squared)
         for column in (y, z):
@@ -102,7 +102,7 @@ def farthest_point_sample(points: ArrayLike, count: int) -> Indices:
         # Less than any distance: no index is chosen twice, even if all points coincide.
         nearest[index] = -1.0
         index = int(nearest.argmax())
-    return chosen
+    return sample
 
 
 def spread_subset(points: ArrayLike, count: int) -> Indices:

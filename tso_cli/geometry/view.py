@@ -74,8 +74,8 @@ class View:
         if mask.ndim != 2 or mask.size == 0:
             raise InputError(f"{self.name}: mask has shape {list(mask.shape)}, expected [H, W]")
         if not isinstance(self.camera, Camera):
-            found = type(self.camera).__name__
-            raise InputError(f"{self.name}: its camera is of type {found}, expected a Camera")
+            type_name = type(self.camera).__name__
+            raise InputError(f"{self.name}: its camera is of type {type_name}, expected a Camera")
         if not np.isfinite(mask).all() or mask.min() < 0.0 or mask.max() > 1.0:
             raise InputError(
                 f"{self.name}: mask values span {mask.min():g} to {mask.max():g}, expected 0 to 1"
@@ -124,17 +124,18 @@ class View:
     def _require_both_sides(self, counted: Floats) -> None:
         """InputError unless some of the ``counted`` pixels are foreground, and some are not."""
         inside = int((counted > 0.5).sum())
-        left = "" if counted.size == self.mask.size else " that the ignore map leaves"
+        of_ignore_map = "" if counted.size == self.mask.size else " that the ignore map leaves"
         if inside == 0:
-            left = left if (self.mask > 0.5).any() else ""
+            of_ignore_map = of_ignore_map if (self.mask > 0.5).any() else ""
             raise InputError(
-                f"{self.name}: no pixel{left} is foreground: the largest value is "
+                f"{self.name}: no pixel{of_ignore_map} is foreground: the largest value is "
                 f"{counted.max(initial=0.0):.3g} of 1, expected some over 0.5"
             )
         if inside == counted.size:
-            advice = "" if left else " (`invert_mask`?)"
+            advice = "" if of_ignore_map else " (`invert_mask`?)"
             raise InputError(
-                f"{self.name}: every pixel{left} is foreground, expected some background{advice}"
+                f"{self.name}: every pixel{of_ignore_map} is foreground, expected some "
+                f"background{advice}"
             )
 
     def _checked_depth(self, depth: Array) -> Array:
@@ -298,9 +299,10 @@ class Grey:
 def is_grey_inside(mask: Floats, inside: Bits, known: Bits) -> bool:
     """Whether a mask [H, W] is grey over more than what it shows, as a photo is."""
     step = max(1, min(mask.shape) // Grey.ROWS)
-    some, shown, counted = mask[::step, ::step], inside[::step, ::step], known[::step, ::step]
-    smaller = min(np.count_nonzero(shown), np.count_nonzero(counted & ~shown))
-    grey: Bits = (some > Grey.VALUES[0]) & (some < Grey.VALUES[1]) & counted
+    thinned = slice(None, None, step), slice(None, None, step)
+    values, foreground, counted = mask[thinned], inside[thinned], known[thinned]
+    smaller = min(np.count_nonzero(foreground), np.count_nonzero(counted & ~foreground))
+    grey: Bits = (values > Grey.VALUES[0]) & (values < Grey.VALUES[1]) & counted
     # Every pixel of a thin part is at the outline, and has light or dark neighbours.
     middle = grey[1:-1, 1:-1]
     grey = middle & grey[2:, 1:-1] & grey[:-2, 1:-1] & grey[1:-1, 2:] & grey[1:-1, :-2]

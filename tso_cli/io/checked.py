@@ -21,9 +21,9 @@ class Checked:
     path: Path
     place = ""
 
-    def error(self, where: str, found: object, expected: str) -> InputError:
-        """The error of a value: what was ``found`` at ``where``, and what was ``expected``."""
-        return InputError(f"{self.path}: {self.place}{where} is {found}, expected {expected}")
+    def error(self, where: str, value: object, expected: str) -> InputError:
+        """The error of a value: what was ``value`` at ``where``, and what was ``expected``."""
+        return InputError(f"{self.path}: {self.place}{where} is {value}, expected {expected}")
 
     def matrix(self, where: str, values: Any, *shapes: tuple[int, ...]) -> Array:
         """``values`` as an array of one of the ``shapes``; -1 stands for any length.
@@ -88,9 +88,9 @@ def _first_text(values: Any) -> tuple[str, Any]:
     return "", None
 
 
-def _fits(shape: tuple[int, ...], wanted: tuple[int, ...]) -> bool:
-    return len(shape) == len(wanted) and all(
-        w in (-1, n) for n, w in zip(shape, wanted, strict=True)
+def _fits(shape: tuple[int, ...], pattern: tuple[int, ...]) -> bool:
+    return len(shape) == len(pattern) and all(
+        w in (-1, n) for n, w in zip(shape, pattern, strict=True)
     )
 
 

@@ -128,10 +128,11 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
                 f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
             )
     data = read_bytes(model or path, "a point cloud")
-    for start, own in _MAGIC.items():
-        if model is None and data.startswith(start) and suffix in SUFFIXES and suffix not in own:
+    for start, suffixes in _MAGIC.items():
+        misnamed = suffix in SUFFIXES and suffix not in suffixes
+        if model is None and misnamed and data.startswith(start):
             raise InputError(
-                f"{path}: holds a {own[0]} file, by its content, expected {suffix}; rename it"
+                f"{path}: holds a {suffixes[0]} file, by its content, expected {suffix}; rename it"
             )
     try:
         if model is not None:
@@ -244,10 +245,10 @@ def write_cloud(
     else:
         rounding, extent = _rounding(points)
         precise = "float32" if rounding <= 1e-6 * extent else "float64"
-        chosen = dtype or (like.precision if like is not None else precise)
+        precision = dtype or (like.precision if like is not None else precise)
         if kept is not None and suffix != ".ply":
             points, kept = points[kept], None
-        data = _new_file(suffix, points, chosen, like, move)
+        data = _new_file(suffix, points, precision, like, move)
     if confidence is not None:
         data = PlyFile(data, path).with_confidence(confidence)
     if kept is not None:
@@ -259,10 +260,10 @@ def _warn_of_stale(path: Path, like: PointCloud, points: Array, move: Similarity
     """Warn of what the file of ``like`` holds that is not right for ``points`` [N, 3]."""
     assert like.source is not None
     stale = [] if _keeps_shape(like, points, move) else like.source.stale_after_moving
-    left = stale if move is None else like.source.left_behind(move.matrix)
-    turned = [name for name in stale if name not in left]
+    unturned = stale if move is None else like.source.left_behind(move.matrix)
+    turned = [name for name in stale if name not in unturned]
     for names, when in (
-        (left, "before the points moved"),
+        (unturned, "before the points moved"),
         (turned, "moved with the whole cloud, before the points moved further"),
     ):
         if names:
@@ -298,13 +299,13 @@ def warn_of_losses(like: PointCloud, suffix: str, kept: Iterable[str] = ()) -> N
 
     ``kept`` names what does go into the new file, besides points and faces.
     """
-    held = like.source.held if like.source else ["colours"] if like.rgb is not None else []
+    contents = like.source.contents if like.source else ["colours"] if like.rgb is not None else []
     if suffix in POINTS_ONLY and like.faces() is not None:
-        held = ["faces", *held]
-    if lost := in_words(name for name in held if name not in kept):
-        own = like.source.suffix if like.source else ".ply"
+        contents = ["faces", *contents]
+    if lost := in_words(name for name in contents if name not in kept):
+        same_suffix = like.source.suffix if like.source else ".ply"
         warnings.warn(
-            f"{like.path}: its {lost} do not go into {suffix}; write {own} to keep them",
+            f"{like.path}: its {lost} do not go into {suffix}; write {same_suffix} to keep them",
             stacklevel=3,
         )
 
@@ -371,8 +372,8 @@ def _new_file(
         if normals is not None and move is not None:
             normals = move.turned(normals)
         if source:
-            found = {"colours": colours, "normals": normals}
-            warn_of_losses(like, suffix, [key for key, one in found.items() if one is not None])
+            written = (("colours", colours), ("normals", normals))
+            warn_of_losses(like, suffix, [name for name, v in written if v is not None])
         return new_ply(points, dtype, like.faces(), normals, colours)
     values = points.astype(np.float32 if dtype == "float32" else np.float64)
     if suffix == ".npy":
@@ -401,13 +402,13 @@ def _of_arrays(arrays: dict[str, Any], path: Path) -> PointCloud:
     """The cloud of a .npz or .pt file: the array with a usual name, or the only one that fits."""
     named = [name for name in _POINTS if name in arrays]
     fitting = [name for name, array in arrays.items() if np.shape(array)[-1:] == (3,)]
-    chosen = named[:1] or (fitting if len(fitting) == 1 else [])
-    if not chosen:
+    names = named[:1] or (fitting if len(fitting) == 1 else [])
+    if not names:
         shapes = ", ".join(f"{shown(name)} {list(np.shape(a))}" for name, a in arrays.items())
         raise InputError(
             f"{path}: holds {shapes or 'no array'}, expected an array called points [N, 3]"
         )
-    points, precision = point_array(np.asarray(arrays[chosen[0]]), path)
+    points, precision = point_array(np.asarray(arrays[names[0]]), path)
     faces = next((arrays[name] for name in _FACES if name in arrays), None)
     if faces is not None:
         whole = np.asarray(faces)
@@ -427,21 +428,21 @@ def point_array(array: NDArray[Any], path: Path) -> tuple[Array, str]:
             f"{path}: holds {len(array)} clouds of {array.shape[1]} points, expected one [N, 3]; "
             "store one of them: numpy.save(FILE, array[0])"
         )
-    one = array[0] if array.ndim == 3 and len(array) == 1 else array
-    fits = one.ndim == 2 and 3 <= one.shape[1] <= MOST_COLUMNS and one.dtype.kind in "fiu"
+    cloud = array[0] if array.ndim == 3 and len(array) == 1 else array
+    fits = cloud.ndim == 2 and 3 <= cloud.shape[1] <= MOST_COLUMNS and cloud.dtype.kind in "fiu"
     if not fits:
         raise InputError(
             f"{path}: holds {array.dtype} {list(array.shape)}, expected numbers [N, 3]"
         )
-    if one.shape[1] > 3:
+    if cloud.shape[1] > 3:
         warnings.warn(
             f"{path}: only the first three of its columns are used, as x y z", stacklevel=3
         )
-        one = one[:, :3]
-    require_memory(path, BYTES_PER_POINT * len(one))
-    precision = "float32" if one.dtype.kind == "f" and one.dtype.itemsize <= 4 else "float64"
+        cloud = cloud[:, :3]
+    require_memory(path, BYTES_PER_POINT * len(cloud))
+    precision = "float32" if cloud.dtype.kind == "f" and cloud.dtype.itemsize <= 4 else "float64"
     with np.errstate(all="ignore"):
-        return np.ascontiguousarray(one, dtype=np.float64), precision
+        return np.ascontiguousarray(cloud, dtype=np.float64), precision
 
 
 def _check(points: Array, path: Path, extended: bool) -> None:

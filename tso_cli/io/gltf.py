@@ -86,11 +86,11 @@ class _Primitive:
         """The normals and the tangents, where there are some."""
         matrix = self.part.matrix[:3, :3]
         # A node may shear its mesh: normals go by the inverse of the transpose.
-        found = [
+        both = [
             _Directions("NORMAL", self.attributes.get("NORMAL"), "VEC3", np.linalg.inv(matrix).T),
             _Directions("TANGENT", self.attributes.get("TANGENT"), "VEC4", matrix),
         ]
-        return [one for one in found if one.accessor is not None]
+        return [directions for directions in both if directions.accessor is not None]
 
 
 class _Directions(NamedTuple):
@@ -182,7 +182,7 @@ class GltfFile(Checked, MovableFile):
         nodes = objects_of(self, self._document, "nodes")
         meshes = objects_of(self, self._document, "meshes")
         places = places_of(self, nodes)
-        found: dict[tuple[int, int], _Part] = {}
+        part_of: dict[tuple[int, int], _Part] = {}
         total = 0
         for number in self._shown(nodes):
             self.place = f"nodes[{number}]."
@@ -208,13 +208,13 @@ class GltfFile(Checked, MovableFile):
                         f"{self.path}: a mesh has morph targets, expected none; apply the shape "
                         "before you export it"
                     )
-                if key not in found:
+                if key not in part_of:
                     count = len(self._positions(key[1]))
-                    found[key] = _Part(number, key[1], places[number], total, count)
+                    part_of[key] = _Part(number, key[1], places[number], total, count)
                     total += count
-                self._primitives.append(self._primitive(found[key], primitive, attributes))
+                self._primitives.append(self._primitive(part_of[key], primitive, attributes))
         self.place = ""
-        self._parts = list(found.values())
+        self._parts = list(part_of.values())
 
     def _shown(self, nodes: list[dict[str, Any]]) -> list[int]:
         """The nodes of the default scene, in the order of the file."""
@@ -326,7 +326,7 @@ class GltfFile(Checked, MovableFile):
 
     def read_faces(self) -> Indices | None:
         """Triangles [F, 3]; None if there are none."""
-        faces = [one.triangles + one.part.first for one in self._primitives]
+        faces = [primitive.triangles + primitive.part.first for primitive in self._primitives]
         joined = np.concatenate(faces) if faces else np.empty((0, 3), np.int64)
         return joined if len(joined) else None
 
@@ -347,20 +347,21 @@ class GltfFile(Checked, MovableFile):
 
         materials = Materials(self._document, self._bytes_of_view, pictures)
         corners, textures, first = [], [], 0
-        for one in self._primitives:
-            coat, faces = materials.coat(one.material), first + np.arange(len(one.triangles))
+        for primitive in self._primitives:
+            coat = materials.coat(primitive.material)
+            faces = first + np.arange(len(primitive.triangles))
             first += len(faces)
-            tint = np.tile(coat.factor, (one.part.count, 1))
-            if (accessor := one.attributes.get("COLOR_0")) is not None:
+            tint = np.tile(coat.factor, (primitive.part.count, 1))
+            if (accessor := primitive.attributes.get("COLOR_0")) is not None:
                 tint *= _as_shares(self._values(accessor, ("VEC3", "VEC4"))[:, :3])
-            corners.append(tint[one.triangles])
+            corners.append(tint[primitive.triangles])
             if coat.picture is not None and len(faces):
-                accessor = one.attributes.get(f"TEXCOORD_{coat.coordinates}")
+                accessor = primitive.attributes.get(f"TEXCOORD_{coat.coordinates}")
                 if accessor is None:
                     pictures.miss(coat.name, "has no coordinates on the mesh")
                     continue
                 places = coat.placed(_as_shares(self._values(accessor, ("VEC2",))))
-                at = places[one.triangles]
+                at = places[primitive.triangles]
                 textures.append(Texture(coat.picture, faces, at, wraps=coat.wraps))
         return Paint.of_parts(corners, textures)
 
@@ -383,42 +384,44 @@ class GltfFile(Checked, MovableFile):
 
     def _of_vertices(self, name: str, *widths: int) -> list[tuple[_Part, NDArray[Any]]] | None:
         """Each part and its values [V, C] of an attribute; None unless all vertices have one."""
-        found: dict[int, tuple[_Part, NDArray[Any]]] = {}
-        for one in self._primitives:
-            accessor = one.attributes.get(name)
+        values_of: dict[int, tuple[_Part, NDArray[Any]]] = {}
+        for primitive in self._primitives:
+            accessor = primitive.attributes.get(name)
             if accessor is None:
                 return None
             values = self._values(accessor, tuple(f"VEC{width}" for width in widths))
-            if len(values) != one.part.count:
+            if len(values) != primitive.part.count:
                 return None
-            found[one.part.first] = one.part, values
-        return [found[part.first] for part in self._parts]
+            values_of[primitive.part.first] = primitive.part, values
+        return [values_of[part.first] for part in self._parts]
 
     @property
-    def held(self) -> list[str]:
+    def contents(self) -> list[str]:
         """What the scene holds besides vertices and faces."""
         names = self._attributes
-        held = {
+        parts = {
             "textures": self._document.get("textures"),
             "materials": self._document.get("materials"),
             "texture coordinates": "TEXCOORD_0" in names,
             "colours": "COLOR_0" in names,
             "normals": "NORMAL" in names,
         }
-        return [name for name, there in held.items() if there]
+        return [name for name, there in parts.items() if there]
 
     def files_named(self, data: bytes) -> list[str]:
         """The pictures and buffers that ``data`` names, a scene as `with_points` gives it."""
         document = document_of(scene_text(data, self.path)[0], self.path)
-        entries = [one for key in ("images", "buffers") for one in objects_of(self, document, key)]
-        names = [one["uri"] for one in entries if isinstance(one.get("uri"), str)]
+        entries = [
+            entry for key in ("images", "buffers") for entry in objects_of(self, document, key)
+        ]
+        names = [entry["uri"] for entry in entries if isinstance(entry.get("uri"), str)]
         return [unquote(name) for name in names if name[: len(_DATA)].lower() != _DATA]
 
     def require_movable(self) -> None:
         """Raise InputError if two nodes share vertices, which could not move apart."""
         accessors = [self._layout(part.accessor, ("VEC3",))[:2] for part in self._parts]
         if len(set(accessors)) < len(accessors):
-            twice = next(one for one in accessors if accessors.count(one) > 1)
+            twice = next(place for place in accessors if accessors.count(place) > 1)
             nodes = self._document["nodes"]
             names = [
                 plain(str(nodes[part.node].get("name", part.node)))
@@ -452,11 +455,11 @@ class GltfFile(Checked, MovableFile):
             return fixed
         positions = {self._layout(part.accessor, ("VEC3",))[:2] for part in self._parts}
         turns: dict[tuple[int, int], Array] = {}
-        for one in self._primitives:
-            for directions in one.directions():
+        for primitive in self._primitives:
+            for directions in primitive.directions():
                 layout = self._layout(directions.accessor, (directions.form,))
                 place, turn = layout[:2], directions.of_node(move.turn)
-                fits = layout[2] == np.dtype("<f4") and layout[3] == one.part.count
+                fits = layout[2] == np.dtype("<f4") and layout[3] == primitive.part.count
                 # Nodes that stand differently turn differently.
                 alike = np.allclose(turns.setdefault(place, turn), turn, rtol=0.0, atol=1e-6)
                 if not fits or not alike or place in positions:
@@ -492,28 +495,28 @@ class GltfFile(Checked, MovableFile):
     ) -> None:
         """Turn normals and tangents of vertices that went from ``before`` to ``after`` [V, 3]."""
         # No bytes turn twice, and none that are vertices too.
-        done = {self._layout(part.accessor, ("VEC3",))[:2] for part in self._parts}
-        done |= set() if move is None else self._fixed(move).keys()
+        turned = {self._layout(part.accessor, ("VEC3",))[:2] for part in self._parts}
+        turned |= set() if move is None else self._fixed(move).keys()
         for primitive in self._primitives:
             part = primitive.part
             span = slice(part.first, part.first + part.count)
-            for own in primitive.directions():
-                place = self._layout(own.accessor, (own.form,))[:2]
-                if place in done:
+            for directions in primitive.directions():
+                place = self._layout(directions.accessor, (directions.form,))[:2]
+                if place in turned:
                     continue
-                done.add(place)
-                target = self._values(own.accessor, (own.form,), buffers)
+                turned.add(place)
+                target = self._values(directions.accessor, (directions.form,), buffers)
                 if target.dtype != np.dtype("<f4") or len(target) != part.count:
                     continue
                 old = _as_double(target[:, :3])
-                new = self._turned(own, part, old, before[span], after[span], move)
+                new = self._turned(directions, part, old, before[span], after[span], move)
                 changed = (new != old).any(1)
                 with np.errstate(all="ignore"):
                     target[changed, :3] = new[changed]
 
     def _turned(
         self,
-        own: _Directions,
+        stored: _Directions,
         part: _Part,
         directions: Array,
         before: Array,
@@ -526,16 +529,16 @@ class GltfFile(Checked, MovableFile):
         that moves as a whole turns them exactly.
         """
         turn = np.eye(3) if move is None else move.turn
-        along = own.turned(directions, turn)
+        along = stored.turned(directions, turn)
         moved = before if move is None else move.apply(before)
         if move is not None and move.accounts_for(before, after, self.kinds):
             return along
         further = rigid_turn(moved, after)
         if further is not None:
-            return own.turned(directions, further @ turn)
+            return stored.turned(directions, further @ turn)
         faces = np.concatenate([
-            one.triangles for one in self._primitives
-            if one.part is part and own.accessor == one.attributes.get(own.name)
+            primitive.triangles for primitive in self._primitives
+            if primitive.part is part and primitive.attributes.get(stored.name) == stored.accessor
         ])  # fmt: skip
         inverse = np.linalg.inv(part.matrix[:3, :3])
         was, start, end = (
@@ -563,9 +566,9 @@ class GltfFile(Checked, MovableFile):
         text = json.dumps(document, separators=(",", ":"))
         length = struct.unpack_from("<I", self.data, 12)[0]
         rest = self.data[20 + length :]  # the binary chunk, and any others
-        own = next((i for i, one in enumerate(documents) if "uri" not in one), None)
-        if own is not None and rest:
-            binary = bytes(buffers[own])
+        binary_buffer = next((i for i, buffer in enumerate(documents) if "uri" not in buffer), None)
+        if binary_buffer is not None and rest:
+            binary = bytes(buffers[binary_buffer])
             rest = rest[:8] + binary + rest[8 + len(binary) :]
         return glb_of(self.data, text, rest)
 

@@ -131,8 +131,8 @@ def glb_of(data: bytes, text: str, rest: bytes) -> bytes:
     head = text.rstrip(" ").encode()
     head += b" " * (-len(head) % 4)
     # Bytes after the length that the file states stay outside of it.
-    stated = struct.unpack_from("<I", data, 8)[0]
-    total = max(20 + len(head) + len(rest) - max(len(data) - stated, 0), 0)
+    stated_length = struct.unpack_from("<I", data, 8)[0]
+    total = max(20 + len(head) + len(rest) - max(len(data) - stated_length, 0), 0)
     chunk = struct.pack("<I4s", len(head), JSON_CHUNK) + head
     return data[:8] + struct.pack("<I", total) + chunk + rest
 
@@ -161,9 +161,11 @@ def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:
                     f"{checked.path}: node {at} is its own ancestor, expected a tree of nodes; "
                     "export the scene again"
                 )
-        for one in reversed(chain):
-            above = places.get(parent.get(one, -1))
-            places[one] = local[one] if above is None else above @ local[one]
+        for node_number in reversed(chain):
+            above = places.get(parent.get(node_number, -1))
+            places[node_number] = (
+                local[node_number] if above is None else above @ local[node_number]
+            )
     return [places[number] for number in range(len(nodes))]
 
 

@@ -223,10 +223,10 @@ def decoded(
             f"{path}: is not a readable image, expected {what} ({', '.join(FORMATS)})"
         ) from None
     except Image.DecompressionBombError as error:
-        stated = re.search(r"\d+", str(error))
-        found = f"{int(stated[0]):,}" if stated else "too many"
+        digits = re.search(r"\d+", str(error))
+        count = f"{int(digits[0]):,}" if digits else "too many"
         raise InputError(
-            f"{path}: has {found} pixels, expected at most {PIXEL_LIMIT:,}; make it smaller"
+            f"{path}: has {count} pixels, expected at most {PIXEL_LIMIT:,}; make it smaller"
         ) from None
     # Decoders fail on damaged files in many ways (struct.error, SyntaxError, KeyError, ...).
     except Exception as error:

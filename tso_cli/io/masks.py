@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import functools
-import json
 import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, needed_by
+from ..errors import InputError
 from ..geometry.arrays import Bits, Floats
 from ..geometry.view import is_grey_inside
 from .archives import Check, arrays_of
-from .checked import kind
+from .coco import MOST_LISTED, read_coco
 from .images import FILE_LIMIT, WITH_ALPHA, check_size, decoded, grey_values, to_unit
-from .output import reason
-from .reading import json_reason, plain, read_array, read_bytes
+from .reading import plain, read_array, read_bytes
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -32,18 +30,10 @@ MOST_VALUES = 64
 SOLID = 0.3
 # Formats whose losses change the values of labels.
 LOSSY = ("JPEG", "WEBP")
-MOST_LISTED = 9
 # Files of a folder that are taken for masks; a .json there may be a camera file.
 SUFFIXES = (
     ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".gif", ".ppm", ".pgm", ".npy",
     ".npz", ".pt",
-)  # fmt: skip
-# Keys of other files of JSON, and what these are.
-_NO_MASKS = (
-    ({"K"}, "a camera file"), ({"views"}, "a camera file"), ({"frames"}, "a camera file"),
-    ({"shapes", "imagePath"}, "an annotation of LabelMe; export it as COCO (labelme2coco)"),
-    ({"_via_img_metadata"}, "a project of VIA; export its annotations as COCO"),
-    ({"filename", "regions"}, "an annotation of VIA; export it as COCO"),
 )  # fmt: skip
 # How far beyond 0 and 1 interpolation may bring the values of a mask.
 UNDERSHOOT = 0.2
@@ -96,7 +86,7 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
                 f"{path}: holds segmentations, `label` {plain(choice.label)} chooses one of an "
                 "image of labels; choose one: `mask_index` N"
             )
-        return _of_coco(data, path, choice)
+        return read_coco(data, path, choice.index)
     _refuse_index(path, choice)
     convert = functools.partial(_values, label=choice.label)
     return to_unit(decoded(data, path, "a mask image", convert, upright), path)
@@ -148,14 +138,9 @@ def _refuse_index(path: Path, choice: MaskChoice) -> None:
 
 def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
     """The values of `read_mask` [H, W]: bool, uint8, uint16 or float."""
-    transparency = "transparency" in image.info and image.mode in ("P", "L", "RGB")
-    if transparency or image.mode in WITH_ALPHA:
-        with_channel = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
-        alpha = np.asarray(with_channel.getchannel("A"))
-        # The alpha channel is no mask if an editor left a few pixels of it transparent, or if it is
-        # slightly transparent everywhere.
-        if label is None and np.count_nonzero(alpha < 128) >= 1e-3 * alpha.size:
-            return alpha
+    alpha = _alpha(image) if label is None else None
+    if alpha is not None:
+        return alpha
     if image.format in LOSSY:
         if label is not None:
             raise InputError(
@@ -165,40 +150,67 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
         brightness = _brightest(image.convert("RGB").split())
         _refuse_photo(brightness, path)
         return brightness
+    picture = _picture_of(image, path)
+    if picture.codes.dtype.kind in "bf":
+        return picture.codes
+    pixels = _label_of(picture.codes, picture.brightness, path, label, picture.colours)
+    if pixels is not None:
+        return pixels
+    if picture.may_be_photo:
+        _refuse_photo(picture.brightness, path)
+    return picture.brightness
+
+
+def _alpha(image: Image.Image) -> NDArray[Any] | None:
+    """The alpha channel [H, W]; None if there is none, or it is no mask."""
+    transparency = "transparency" in image.info and image.mode in ("P", "L", "RGB")
+    if not transparency and image.mode not in WITH_ALPHA:
+        return None
+    with_channel = image if image.mode in ("RGBA", "LA") else image.convert("RGBA")
+    alpha = np.asarray(with_channel.getchannel("A"))
+    # The alpha channel is no mask if an editor left a few pixels of it transparent, or if it is
+    # slightly transparent everywhere.
+    return alpha if np.count_nonzero(alpha < 128) >= 1e-3 * alpha.size else None
+
+
+class _Picture(NamedTuple):
+    """codes, brightness : [H, W], a number for each label, and the mask if there are no labels.
+
+    colours : codes are colours.
+    """
+
+    codes: NDArray[Any]
+    brightness: NDArray[Any]
+    may_be_photo: bool = False
+    colours: bool = False
+
+
+def _picture_of(image: Image.Image, path: Path) -> _Picture:
     if image.mode == "P":
-        index = np.asarray(image)
         if _is_grey(image):
             grey = np.asarray(image.convert("L"))
-            return _chosen(grey, grey, path, label)
-        colours = np.array(image.getpalette("RGB") or [0] * 768).reshape(-1, 3)
-        black = np.flatnonzero((colours == 0).all(1))
+            return _Picture(grey, grey)
+        index = np.asarray(image)
+        palette = np.array(image.getpalette("RGB") or [0] * 768).reshape(-1, 3)
+        black = np.flatnonzero((palette == 0).all(1))
         if index.size and 0 not in black and len(black) and (index == black[0]).any():
             # The background is the black entry, wherever the palette has it.
             order = np.arange(256, dtype=np.uint8)
             order[0], order[black[0]] = black[0], 0
             index = order[index]
-        return _chosen(index, index != 0, path, label)
+        return _Picture(index, index != 0)
     if image.mode in ("1", "L", "F", "I") or image.mode.startswith("I;16"):
         grey = grey_values(image, path)
-        if grey.dtype.kind in "bf":
-            return grey
-        chosen = _chosen(grey, grey, path, label)
         # A map of probabilities is dark around the object; a photo may have a white background.
-        if chosen is grey and grey.dtype == np.uint8 and np.median(_border(grey)) > 127:
-            _refuse_photo(grey, path)
-        return chosen
+        bright = grey.dtype == np.uint8 and bool(np.median(_border(grey)) > 127)
+        return _Picture(grey, grey, may_be_photo=bright)
+    # A map of probabilities has one channel; a picture in colours may be a photo.
     bands = image.convert("RGB").split()
-    brightness = _brightest(bands)
     red, green, blue = (np.asarray(band) for band in bands)
     if np.array_equal(red, green) and np.array_equal(green, blue):
-        chosen = _chosen(red, brightness, path, label)
-    else:
-        codes = red.astype(np.uint32) << 16 | green.astype(np.uint32) << 8 | blue
-        chosen = _chosen(codes, brightness, path, label, colours=True)
-    # A map of probabilities has one channel; a picture in colours may be a photo.
-    if chosen is brightness:
-        _refuse_photo(brightness, path)
-    return chosen
+        return _Picture(red, _brightest(bands), may_be_photo=True)
+    codes = red.astype(np.uint32) << 16 | green.astype(np.uint32) << 8 | blue
+    return _Picture(codes, _brightest(bands), may_be_photo=True, colours=True)
 
 
 def _brightest(bands: tuple[Image.Image, ...]) -> NDArray[np.uint8]:
@@ -221,47 +233,44 @@ def _refuse_photo(brightness: NDArray[np.uint8], path: Path) -> None:
 
 def _is_grey(image: Image.Image) -> bool:
     """Whether the used colours of a palette are grey, and not all the same."""
-    used = np.flatnonzero(image.histogram())
+    indices = np.flatnonzero(image.histogram())
     whole_palette = image.resize((256, 1))
     whole_palette.putdata(range(256))
-    colours = np.asarray(whole_palette.convert("RGB"))[0, used]
+    colours = np.asarray(whole_palette.convert("RGB"))[0, indices]
     grey = bool((colours == colours[:, :1]).all())
     # A palette with one colour for different indices says nothing: then the indices are labels.
-    return grey and (used.size == 1 or colours.min() != colours.max())
+    return grey and (indices.size == 1 or colours.min() != colours.max())
 
 
-def _chosen(
+def _label_of(
     codes: NDArray[Any],
-    otherwise: NDArray[Any],
+    brightness: NDArray[Any],
     path: Path,
     label: str | None,
     colours: bool = False,
-) -> NDArray[Any]:
-    """The pixels of one label of ``codes`` [H, W]; ``otherwise`` if there are no labels.
+) -> Bits | None:
+    """The pixels of one label of ``codes`` [H, W]; None if the ``brightness`` is the mask.
 
     Raises InputError if there are several and none is chosen, or the chosen one is not there.
     """
-    found = labels_of(codes)
+    sizes = labels_of(codes)
     if label is not None:
         code = _code(label, colours)
-        if code not in found:
-            raise _which(path, found, colours, f"has no label {plain(label)}")
-        return codes == code
-    if len(found) > 1:
-        raise _which(path, found, colours, "holds several labels")
-    if len(found) == 1:
-        (code,) = found
-        pixels: NDArray[Any] = codes == code
-        # A bright label on a dark background is a mask as it is, with its soft edges; `to_unit`
-        # knows 0 and 1.
-        plain_labels = code == 1 and codes is otherwise
-        dark = ~pixels & ~_next_to(pixels)
-        as_it_is = _is_bright(otherwise[pixels]) and not (
-            dark.any() and _is_bright(otherwise[dark])
-        )
-        if not plain_labels and not as_it_is:
-            return pixels
-    return otherwise
+        if code not in sizes:
+            raise _which(path, sizes, colours, f"has no label {plain(label)}")
+        return np.asarray(codes == code)
+    if len(sizes) > 1:
+        raise _which(path, sizes, colours, "holds several labels")
+    if not sizes:
+        return None
+    (code,) = sizes
+    pixels: Bits = codes == code
+    # A bright label on a dark background is a mask as it is, with its soft edges; `to_unit` knows
+    # 0 and 1.
+    of_zero_and_one = code == 1 and codes is brightness
+    dark = ~pixels & ~_next_to(pixels)
+    as_it_is = _is_bright(brightness[pixels]) and not (dark.any() and _is_bright(brightness[dark]))
+    return None if of_zero_and_one or as_it_is else pixels
 
 
 def _border(values: NDArray[Any]) -> NDArray[Any]:
@@ -296,12 +305,12 @@ def _code(label: str, colours: bool) -> int:
     return numbers[0] if not colours else numbers[0] << 16 | numbers[1] << 8 | numbers[2]
 
 
-def _which(path: Path, found: dict[int, int], colours: bool, what: str) -> InputError:
+def _which(path: Path, sizes: dict[int, int], colours: bool, what: str) -> InputError:
     names = []
-    for code, pixels in sorted(found.items(), key=lambda item: -item[1])[:MOST_LISTED]:
+    for code, pixels in sorted(sizes.items(), key=lambda item: -item[1])[:MOST_LISTED]:
         name = f"{code >> 16},{code >> 8 & 255},{code & 255}" if colours else str(code)
         names.append(f"{name} ({pixels:,} px)")
-    more = ", ..." if len(found) > MOST_LISTED else ""
+    more = ", ..." if len(sizes) > MOST_LISTED else ""
     form = "R,G,B" if colours else "N"
     return InputError(
         f"{path}: {what}, expected one of {', '.join(names) or 'none'}{more}: `label` {form}"
@@ -381,8 +390,8 @@ def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
     if array.dtype.kind in "iu" and int(array.min()) >= 0:
         # Of arrays, 255 is white whatever the type says.
         codes = array.astype(np.uint8) if int(array.max()) <= 255 else array
-        chosen = _chosen(codes, codes, path, choice.label)
-        return to_unit(array if chosen is codes else chosen, path)
+        pixels = _label_of(codes, codes, path, choice.label)
+        return to_unit(array if pixels is None else pixels, path)
     return to_unit(array, path)
 
 
@@ -395,12 +404,11 @@ def _one_of(
     """
     if choice.index is None:
         if (array == array[:1]).all():
-            one: NDArray[Any] = array[0]
-            return one
+            return np.asarray(array[0])
         fits = len(scores) == len(array) and scores.dtype.kind in "fiu"
-        known = [f", score {score:.3g}" for score in scores.tolist()] if fits else [""] * len(array)
+        words = [f", score {s:.3g}" if fits else "" for s in (scores if fits else array)]
         sizes = [
-            f"{i} ({np.count_nonzero(mask > 0):,} px{known[i]})" for i, mask in enumerate(array)
+            f"{i} ({np.count_nonzero(mask > 0):,} px{words[i]})" for i, mask in enumerate(array)
         ]
         more = ", ..." if len(sizes) > MOST_LISTED else ""
         raise InputError(
@@ -411,8 +419,7 @@ def _one_of(
         raise InputError(
             f"{path}: has no mask {choice.index}, expected `mask_index` 0 to {len(array) - 1}"
         )
-    chosen: NDArray[Any] = array[choice.index]
-    return chosen
+    return np.asarray(array[choice.index])
 
 
 def _of_floats(array: NDArray[Any], path: Path) -> NDArray[Any]:
@@ -430,153 +437,3 @@ def _of_floats(array: NDArray[Any], path: Path) -> NDArray[Any]:
     if low >= 0.0 and 1.0 < high <= 255.0 and (array == np.rint(array)).all():
         return (array / 255.0).astype(np.float32)
     return array
-
-
-def _of_coco(data: bytes, path: Path, choice: MaskChoice) -> Floats:
-    """A mask of COCO: run lengths or polygons, alone, in an annotation, or in a list of these."""
-    try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not JSON ({json_reason(error)}), expected a mask") from None
-    for keys, what in _NO_MASKS:
-        first = document[0] if isinstance(document, list) and document else document
-        if isinstance(first, dict) and first.keys() >= keys:
-            raise InputError(
-                f"{path}: is {what}, expected a mask: a picture, or a segmentation of COCO"
-            )
-    pictures: list[dict[str, Any]] = []
-    if isinstance(document, dict) and isinstance(document.get("annotations"), list):
-        images = document.get("images")
-        if isinstance(images, list):
-            pictures = [image for image in images if isinstance(image, dict)]
-        document = document["annotations"]
-    entries = document if isinstance(document, list) else [document]
-    if not entries or not all(isinstance(entry, dict) for entry in entries):
-        raise InputError(
-            f"{path}: holds {kind(document)}, expected a segmentation of COCO: size and counts"
-        )
-    number = choice.index
-    if number is None:
-        if len(entries) > 1:
-            listed = []
-            for i, entry in enumerate(entries[:MOST_LISTED]):
-                of = _picture_of(entry, pictures) if len(pictures) > 1 else None
-                name = f", {of.get('file_name', of.get('id'))}" if of else ""
-                listed.append(plain(f"{i} ({entry.get('area', '?')} px{name})"))
-            more = ", ..." if len(entries) > MOST_LISTED else ""
-            raise InputError(
-                f"{path}: holds {len(entries)} segmentations, expected one of "
-                f"{', '.join(listed)}{more}: `mask_index` N"
-            )
-        number = 0
-    if not 0 <= number < len(entries):
-        raise InputError(
-            f"{path}: has no mask {number}, expected `mask_index` 0 to {len(entries) - 1}"
-        )
-    entry = entries[number]
-    segmentation = entry.get("segmentation", entry)
-    if isinstance(segmentation, list):
-        picture = _picture_of(entry, pictures) or entry
-        return _of_polygons(segmentation, picture.get("height"), picture.get("width"), path)
-    return _of_run_lengths(segmentation, path)
-
-
-def _picture_of(entry: dict[str, Any], pictures: list[dict[str, Any]]) -> dict[str, Any] | None:
-    """The picture that an annotation is of: the only one, or the one with its ``image_id``."""
-    if len(pictures) == 1:
-        return pictures[0]
-    number = entry.get("image_id")
-    return next((one for one in pictures if number is not None and one.get("id") == number), None)
-
-
-def _sides(height: Any, width: Any, path: Path) -> tuple[int, int]:
-    for side in (height, width):
-        if not isinstance(side, int) or isinstance(side, bool) or side < 1:
-            raise InputError(
-                f"{path}: the size is {kind(height)} x {kind(width)}, expected height and width of "
-                "the picture"
-            )
-    check_size(width, height, path)
-    return height, width
-
-
-def _of_polygons(polygons: list[Any], height: Any, width: Any, path: Path) -> Floats:
-    from skimage.draw import polygon2mask
-
-    height, width = _sides(height, width, path)
-    inside = np.zeros((height, width), bool)
-    for polygon in polygons:
-        try:
-            corners = np.asarray(polygon, dtype=np.float64).reshape(-1, 2)
-            if len(corners) < 3 or not np.isfinite(corners).all() or np.abs(corners).max() > 1e6:
-                raise ValueError
-        except (ValueError, TypeError):
-            raise InputError(
-                f"{path}: a polygon is {kind(polygon)}, expected numbers x, y, x, y, ..."
-            ) from None
-        # COCO counts from the corner of a pixel.
-        inside |= polygon2mask((height, width), corners[:, ::-1] - 0.5)
-    return inside.astype(np.float32)
-
-
-def _of_run_lengths(segmentation: Any, path: Path) -> Floats:
-    """Runs of background and foreground in turn, down the columns."""
-    fits = isinstance(segmentation, dict) and {"size", "counts"} <= segmentation.keys()
-    if not fits or not isinstance(segmentation["size"], list) or len(segmentation["size"]) != 2:
-        raise InputError(
-            f"{path}: holds {kind(segmentation)}, expected a segmentation of COCO: size and counts"
-        )
-    height, width = _sides(segmentation["size"][0], segmentation["size"][1], path)
-    counts = segmentation["counts"]
-    if isinstance(counts, str):
-        return _compressed(counts, height, width, path)
-    whole = isinstance(counts, list) and all(type(n) is int and n >= 0 for n in counts)
-    if not whole or sum(counts) != height * width:
-        raise InputError(
-            f"{path}: its runs are {kind(counts)}, expected lengths that add up to "
-            f"{height * width:,}"
-        )
-    values: Bits = np.arange(len(counts)) % 2 == 1
-    return np.repeat(values, counts).reshape(width, height).T.astype(np.float32)
-
-
-def _compressed(counts: str, height: int, width: int, path: Path) -> Floats:
-    with needed_by(f"{path}: compressed run lengths need"):
-        from pycocotools import mask as coco
-    total = _total_of_runs(counts)
-    if total != height * width:
-        raise InputError(
-            f"{path}: its runs add up to {total:,} pixels, expected {height * width:,}"
-        )
-    try:
-        found = coco.decode({"size": [height, width], "counts": counts.encode("ascii")})
-    except Exception as error:
-        raise InputError(f"{path}: its run lengths are damaged ({reason(error)})") from None
-    return np.asarray(found, dtype=np.float32)
-
-
-def _total_of_runs(text: str) -> int:
-    """The pixels of compressed run lengths; pycocotools does not check that they fill the mask.
-
-    A number has five bits in each character, least first, and is signed; from the third number on
-    it is the difference to the number before the last one.
-    """
-    runs: list[int] = []
-    value = shift = 0
-    for letter in text.encode("latin-1", "replace"):
-        bits = letter - 48
-        value |= (bits & 31) << shift
-        shift += 5
-        if bits & 32:
-            if shift > 60:
-                return -1
-            continue
-        if bits & 16:
-            value -= 1 << shift
-        if len(runs) > 2:
-            value += runs[-2]
-        if value < 0:
-            return -1
-        runs.append(value)
-        value = shift = 0
-    return sum(runs)

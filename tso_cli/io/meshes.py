@@ -209,14 +209,14 @@ def _check_off(content: bytes, path: Path) -> None:
 
 def _check_stl(content: bytes, path: Path) -> None:
     """Raise InputError if an STL file, text or binary, is not whole."""
-    stated = struct.unpack_from("<I", content, 80)[0] if len(content) >= _HEADER else 0
+    triangles = struct.unpack_from("<I", content, 80)[0] if len(content) >= _HEADER else 0
     body = len(content) - _HEADER
-    if body == stated * _TRIANGLE:
+    if body == triangles * _TRIANGLE:
         return
     if not (re.match(rb"\s*solid", content) and re.search(rb"\bfacet\b", content, re.IGNORECASE)):
         raise InputError(
             f"{path}: has {max(body, 0):,} bytes after its header, expected {_TRIANGLE} for each "
-            f"of the {stated:,} triangles that it states; the file ends early or is no STL file"
+            f"of the {triangles:,} triangles that it states; the file ends early or is no STL file"
         )
     counts = dict.fromkeys(("solid", "endsolid", "facet", "endfacet", "vertex"), 0)
     for number, line in enumerate(content.splitlines(), 1):

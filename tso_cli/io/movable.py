@@ -62,8 +62,8 @@ class MovableFile(ABC):
             with np.errstate(all="ignore"):
                 return self.read_paint(pictures)
         except Exception as error:
-            known = isinstance(error, InputError)
-            pictures.missing.append(reason(error) if known else f"damaged ({reason(error)})")
+            is_refusal = isinstance(error, InputError)
+            pictures.missing.append(reason(error) if is_refusal else f"damaged ({reason(error)})")
             return None
 
     def read_faint(self) -> Bits | None:
@@ -84,7 +84,7 @@ class MovableFile(ABC):
         return None
 
     @property
-    def held(self) -> list[str]:
+    def contents(self) -> list[str]:
         """What the file holds besides points and faces, such as "textures"."""
         return []
 

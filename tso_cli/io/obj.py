@@ -82,8 +82,8 @@ class ObjFile(MovableFile):
         for match in _LINE.finditer(text):
             kind, begin = match[1], match.start(2)
             if kind == b"f":
-                seen = len(rows[b"v"]), len(rows[b"vn"])
-                self._faces.append((*seen, match[2].split()))
+                counts = len(rows[b"v"]), len(rows[b"vn"])
+                self._faces.append((*counts, match[2].split()))
                 continue
             spans = [(begin + w.start(), begin + w.end()) for w in _WORD.finditer(match[2])]
             rows[kind].append((begin, spans))
@@ -135,14 +135,14 @@ class ObjFile(MovableFile):
     def _triangulated(self) -> tuple[Indices, Indices]:
         """Triangles [F, 3], polygons as fans, and the normal of each corner [F, 3], -1 for none."""
         triangles, normals = [], []
-        for vertices, known, words in self._faces:
+        for vertices, normals_before, words in self._faces:
             corners, directions = [], []
             for word in words:
                 parts = word.split(b"/")
                 corners.append(self._index(parts[0], vertices, len(self._points), word))
                 third = parts[2] if len(parts) > 2 else b""
                 count = 0 if self._normal_spans is None else len(self._normal_spans)
-                directions.append(self._index(third, known, count, word) if third else -1)
+                directions.append(self._index(third, normals_before, count, word) if third else -1)
             for k in range(1, len(corners) - 1):
                 triangles.append((corners[0], corners[k], corners[k + 1]))
                 normals.append((directions[0], directions[k], directions[k + 1]))
@@ -198,25 +198,27 @@ class ObjFile(MovableFile):
 
     def read_normals(self) -> Array | None:
         """The normal of each vertex [V, 3]; None unless every vertex has exactly one."""
-        used = self._normals >= 0
-        if self._normal_spans is None or not used.any():
+        with_normal = self._normals >= 0
+        if self._normal_spans is None or not with_normal.any():
             return None
-        one = np.full(len(self._points), -1)
-        one[self._triangles[used]] = self._normals[used]
-        if (one < 0).any() or (one[self._triangles[used]] != self._normals[used]).any():
+        normal_of = np.full(len(self._points), -1)
+        normal_of[self._triangles[with_normal]] = self._normals[with_normal]
+        if (normal_of < 0).any() or (
+            normal_of[self._triangles[with_normal]] != self._normals[with_normal]
+        ).any():
             return None
-        return self._numbers(self._normal_spans)[one]
+        return self._numbers(self._normal_spans)[normal_of]
 
     @property
-    def held(self) -> list[str]:
+    def contents(self) -> list[str]:
         """What the file holds besides vertices and faces."""
-        held = {
+        parts = {
             "materials": re.search(rb"^[ \t]*usemtl\b", self._lines, re.MULTILINE),
             "texture coordinates": re.search(rb"^[ \t]*vt\b", self._lines, re.MULTILINE),
             "colours": self._colour_spans is not None,
             "normals": self._normal_spans is not None,
         }
-        return [name for name, there in held.items() if there]
+        return [name for name, there in parts.items() if there]
 
     def files_named(self, data: bytes) -> list[str]:
         """The .mtl files that the text names."""
@@ -232,8 +234,8 @@ class ObjFile(MovableFile):
         if move is None and np.array_equal(self._points, points):
             return self.data
         changes = [self._changes(self._spans, self._points, points)]
-        used = self._normals >= 0
-        if self._normal_spans is not None and (move is not None or used.any()):
+        with_normal = self._normals >= 0
+        if self._normal_spans is not None and (move is not None or with_normal.any()):
             normals = self._numbers(self._normal_spans)
             with np.errstate(all="ignore"):  # of normals that are not finite
                 turned = self._turned(normals, points, move)
@@ -243,7 +245,7 @@ class ObjFile(MovableFile):
 
     def _turned(self, normals: Array, points: Array, move: Similarity | None) -> Array:
         """``normals`` [K, 3] turned by ``move``, then as the vertices move on to ``points``."""
-        before, used = self._points, self._normals >= 0
+        before, with_normal = self._points, self._normals >= 0
         if move is not None:
             normals, before = move.turned(normals), move.apply(before)
             if move.accounts_for(self._points, points, self.kinds):
@@ -252,7 +254,7 @@ class ObjFile(MovableFile):
         if turn is not None:
             turned: Array = normals @ turn.T
             return turned
-        whole = used.all(1)
+        whole = with_normal.all(1)
         return turned_normals(normals, self._normals[whole], self._triangles[whole], before, points)
 
     def _changes(

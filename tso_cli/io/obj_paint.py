@@ -27,7 +27,7 @@ def read_paint(text: bytes, libraries: Iterable[str], pictures: Pictures, count:
     for library in libraries:
         if (path := pictures.file(library, "material file")) is not None:
             materials |= _materials(path.read_bytes())
-    places, corners, used, current = [[0.0, 0.0]], [], [], b""
+    places, corners, names, current = [[0.0, 0.0]], [], [], b""
     for line in text.split(b"\n"):
         key, _, rest = line.strip().replace(b"\t", b" ").partition(b" ")
         if key == b"vt":
@@ -40,12 +40,12 @@ def read_paint(text: bytes, libraries: Iterable[str], pictures: Pictures, count:
             named = [int((word.split(b"/") + [b""])[1] or 0) for word in rest.split()]
             fan = [(named[0], *named[k : k + 2]) for k in range(1, len(named) - 1)]
             corners += fan
-            used += [current] * len(fan)
-    if len(used) != count:
-        raise InputError(f"{len(used)} triangles have a material, expected {count}")
-    of_corners, of_faces = np.array(corners).reshape(-1, 3), np.array(used, dtype=object)
-    of_used = {name: materials.get(name, _Material()) for name in dict.fromkeys(used)}
-    colours = np.array([of_used[name].colour for name in used]).reshape(-1, 1, 3)
+            names += [current] * len(fan)
+    if len(names) != count:
+        raise InputError(f"{len(names)} triangles have a material, expected {count}")
+    of_corners, of_faces = np.array(corners).reshape(-1, 3), np.array(names, dtype=object)
+    of_used = {name: materials.get(name, _Material()) for name in dict.fromkeys(names)}
+    colours = np.array([of_used[name].colour for name in names]).reshape(-1, 1, 3)
     textures = []
     for name, material in of_used.items():
         faces = np.flatnonzero((of_faces == name) & (of_corners > 0).all(1))

@@ -81,7 +81,7 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     """
     try:
         target = Path(os.path.realpath(path))
-        temporary, held = _new_temporary(target)
+        temporary, lock = _new_temporary(target)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be written ({reason(error)})") from None
     renamed = False
@@ -107,8 +107,8 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
         if not renamed:
             with suppress(OSError):
                 temporary.unlink()
-        if held is not None:
-            os.close(held)
+        if lock is not None:
+            os.close(lock)
 
 
 def write_file(path: Path, data: bytes, overwrite: bool = False) -> None:
@@ -205,20 +205,20 @@ def sole_writer(path: Path) -> Iterator[None]:
     system has no locks, nothing is checked.
     """
     target = Path(os.path.realpath(path))
-    place, held = target.with_name(f".{target.name}.lock"), None
+    place, lock = target.with_name(f".{target.name}.lock"), None
     try:
         import fcntl
 
-        while held is None:
-            held = os.open(place, os.O_CREAT | os.O_RDWR, 0o666)
+        while lock is None:
+            lock = os.open(place, os.O_CREAT | os.O_RDWR, 0o666)
             # Child processes do not inherit this lock; they would inherit the lock of `lock`.
-            fcntl.lockf(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not os.fstat(held).st_nlink:  # its last owner removed the file in between
-                os.close(held)
-                held = None
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not os.fstat(lock).st_nlink:  # its last owner removed the file in between
+                os.close(lock)
+                lock = None
     except BlockingIOError:
-        assert held is not None
-        os.close(held)
+        assert lock is not None
+        os.close(lock)
         raise InputError(
             f"{path}: another process is writing it, expected another name (or wait for it to end)"
         ) from None
@@ -227,10 +227,10 @@ def sole_writer(path: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        if held is not None:
+        if lock is not None:
             with suppress(OSError):
                 place.unlink()
-            os.close(held)
+            os.close(lock)
 
 
 def reason(error: BaseException) -> str:

@@ -56,7 +56,7 @@ class Texture:
         b, c = barycentric[:, :1], barycentric[:, 1:]
         with np.errstate(over="ignore", invalid="ignore"):
             place = first + b * (second - first) + c * (third - first)
-        place = np.stack([_wrapped(*one) for one in zip(place.T, self.wraps, strict=True)], 1)
+        place = np.stack([_wrapped(*pair) for pair in zip(place.T, self.wraps, strict=True)], 1)
         sides = np.array(self.pixels.shape[1::-1])
         # A place may be 1: np.mod may round up.
         column, from_below = np.minimum((place * sides).astype(np.int64), sides - 1).T

@@ -142,10 +142,13 @@ class PlyFile(MovableFile):
             return []
         affected = (TURNS if move.turns else {}) | (GROWS if move.size != 1.0 else {})
         along = {
-            name for one in self._along(move) if one.element is self.vertex for name in one.names
+            name
+            for group in self._along(move)
+            if group.element is self.vertex
+            for name in group.names
         }
-        left = [name for name in self.vertex.properties if name not in along]
-        return [kind for kind, form in affected.items() if any(map(form.fullmatch, left))]
+        names = [name for name in self.vertex.properties if name not in along]
+        return [kind for kind, form in affected.items() if any(map(form.fullmatch, names))]
 
     def read(self) -> Array:
         """The coordinates [N, 3] of the vertices, in the file's order."""
@@ -174,8 +177,8 @@ class PlyFile(MovableFile):
 
     def read_normals(self) -> Array | None:
         """The normals [N, 3] of the vertices; None if the file has none."""
-        found = (self._floats(names) for names in NORMALS)
-        return next((normals for normals in found if normals is not None), None)
+        candidates = (self._floats(names) for names in NORMALS)
+        return next((normals for normals in candidates if normals is not None), None)
 
     def files_named(self, data: bytes) -> list[str]:
         """The pictures that the header names, as MeshLab writes it."""
@@ -188,16 +191,16 @@ class PlyFile(MovableFile):
         ]
 
     @property
-    def held(self) -> list[str]:
+    def contents(self) -> list[str]:
         """What the file holds besides points and faces."""
         names = set(self.vertex.properties)
         normals = set().union(*NORMALS)
-        held = {
+        parts = {
             "colours": not names.isdisjoint(COLOURS),
             "normals": not names.isdisjoint(normals),
             "further properties": names - {*AXES, *COLOURS, *normals, "alpha"},
         }
-        return [name for name, there in held.items() if there]
+        return [name for name, there in parts.items() if there]
 
     def _splat_colours(self) -> Array | None:
         values = self._floats(CONSTANT_COLOUR)
@@ -205,8 +208,10 @@ class PlyFile(MovableFile):
 
     def _floats(self, names: tuple[str, ...]) -> Array | None:
         """The properties ``names`` [N, K] of the vertices, if all are floating-point numbers."""
-        found = [self.vertex.properties.get(name) for name in names]
-        kinds = [p.kind for p in found if p is not None and not p.length_kind and p.kind[0] == "f"]
+        properties = [self.vertex.properties.get(name) for name in names]
+        kinds = [
+            p.kind for p in properties if p is not None and not p.length_kind and p.kind[0] == "f"
+        ]
         if len(kinds) < len(names):
             return None
         return self._body.columns(self._places_of(self.vertex, names), kinds)
@@ -260,8 +265,8 @@ class PlyFile(MovableFile):
         lengths = self._body.values(starts[:, 0], corners.length_kind)
         for length in np.unique(lengths[lengths >= least]).astype(int).tolist():
             width, length_width = map(self._body.width, (corners.kind, corners.length_kind))
-            chosen = np.flatnonzero(lengths == length)
-            places = starts[chosen] + length_width + width * np.arange(length)
+            rows = np.flatnonzero(lengths == length)
+            places = starts[rows] + length_width + width * np.arange(length)
             polygons = self._body.values(places, corners.kind)
             exists = (polygons >= 0) & (polygons < self.vertex.count)
             wrong = ~(exists & (polygons == np.floor(polygons)))
@@ -270,7 +275,7 @@ class PlyFile(MovableFile):
                 raise InputError(
                     f"{self.path}: a face names vertex {polygons[wrong][0]:g}, expected 0 to {last}"
                 )
-            yield chosen, places, corners.kind, polygons.astype(np.int64)
+            yield rows, places, corners.kind, polygons.astype(np.int64)
 
     def with_points(self, points: Array, matrix: Array | None = None) -> bytes:
         """The file with its vertices moved to ``points`` [N, 3]; all other bytes stay.
@@ -287,9 +292,11 @@ class PlyFile(MovableFile):
             return self.data
         along = [] if move is None else self._along(move)
         head = self.data[: self.header.size]
-        changing = [(self.vertex, AXES), *((one.element, one.names) for one in along)]
-        found = (element.properties[name] for element, names in changing for name in names)
-        integers = [p for p in found if p.kind[0] != "f"]
+        changing = [(self.vertex, AXES), *((group.element, group.names) for group in along)]
+        changing_properties = (
+            element.properties[name] for element, names in changing for name in names
+        )
+        integers = [p for p in changing_properties if p.kind[0] != "f"]
         for begin, end in sorted((p.type_span for p in integers), reverse=True):
             head = head[:begin] + b"double" + head[end:]
         with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file
@@ -326,25 +333,25 @@ class PlyFile(MovableFile):
 
         Raises InputError if the file has further elements, which may name vertices too.
         """
-        others = [
+        further_elements = [
             name
             for name, element in self.header.elements.items()
             if element.count and name not in ("vertex", "face")
         ]
-        if others:
+        if further_elements:
             raise InputError(
-                f"{self.path}: holds {shown(', '.join(others))} besides vertices and faces, which "
-                "cannot be cropped; write another file, .xyz or .npy"
+                f"{self.path}: holds {shown(', '.join(further_elements))} besides vertices "
+                "and faces, which cannot be cropped; write another file, .xyz or .npy"
             )
         head, number = self.data[: self.header.size], np.cumsum(kept) - 1
         removed, corners = {"vertex": ~kept}, []
         for name, element in self.header.elements.items():
             if name == "face":
                 removed[name] = np.zeros(element.count, bool)
-                for chosen, places, kind, polygons in self._polygons(element, 1):
+                for face_rows, places, kind, polygons in self._polygons(element, 1):
                     whole = kept[polygons].all(1)
-                    removed[name][chosen[~whole]] = True
-                    old, new = (some[whole].astype(float) for some in (polygons, number[polygons]))
+                    removed[name][face_rows[~whole]] = True
+                    old, new = (v[whole].astype(float) for v in (polygons, number[polygons]))
                     corners.append(Change(places[whole], [kind], old, new))
         counts = {name: int(np.count_nonzero(~gone)) for name, gone in removed.items()}
         for name, count in counts.items():
@@ -352,8 +359,8 @@ class PlyFile(MovableFile):
             head = re.sub(line, rb"\g<1>%d" % count, head, count=1)
         rows = [self._rows[name][gone] for name, gone in removed.items()]
         ends = [
-            layout(self._body, self.header.elements[name], some)[1]
-            for name, some in zip(removed, rows, strict=True)
+            layout(self._body, self.header.elements[name], starts)[1]
+            for name, starts in zip(removed, rows, strict=True)
         ]
         return head + self._body.without(np.concatenate(rows), np.concatenate(ends), corners)
 

@@ -54,9 +54,9 @@ def parse_header(data: bytes, path: Path) -> Header:
     """
     first = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)
     if first is None:
-        found = shown(data[:12])
+        beginning = shown(data[:12])
         raise InputError(
-            f"{path}: is not a PLY file (starts with {found}), expected a first line 'ply'"
+            f"{path}: is not a PLY file (starts with {beginning}), expected a first line 'ply'"
         )
     # If lines end in a bare \r, a \n after the header already belongs to a binary body.
     ending = rb"\r" if first[1] == b"\r" else rb"(?:\r\n|\n|\r)"

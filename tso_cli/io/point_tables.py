@@ -49,10 +49,10 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
     require_memory(path, 800 * data.count(b"\n"))
     table = TextTable(data, path)
     table.drop_comments()
-    stated = -1
+    stated_count = -1
     if suffix == ".pts" and len(table.counts) > 1 and table.counts[0] == 1:
         # The first line of a .pts file is the number of points.
-        stated = table.values(table.first[:1])[0]
+        stated_count = table.values(table.first[:1])[0]
         table.first, table.counts = table.first[1:], table.counts[1:]
         table.numbers = table.numbers[1:]
     short = table.counts < 3
@@ -63,8 +63,8 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
             f"{path}: line {table.numbers[row]} has {count} column{'s' if count > 1 else ''}, "
             f"expected at least 3, separated by blanks{_of_commas(table, row)}"
         )
-    if stated >= 0:
-        _check_count(path, len(table.first), stated, "its first line")
+    if stated_count >= 0:
+        _check_count(path, len(table.first), stated_count, "its first line")
     points = table.values(table.first[:, None] + np.arange(3))
     if table.counts.max(initial=3) > 3 and suffix != ".pts":
         warn_of_columns(path)
@@ -91,11 +91,11 @@ def read_colmap(data: bytes, path: Path, bytes_per_point: int) -> tuple[Array, A
         points, colours = values[:, :3], values[:, 3:]
     else:
         # A point has 43 bytes and 8 more for each picture of its track.
-        stated = struct.unpack_from("<Q", data)[0] if len(data) >= 8 else 1
-        require_memory(path, bytes_per_point * min(stated, len(data) // 43))
+        stated_count = struct.unpack_from("<Q", data)[0] if len(data) >= 8 else 1
+        require_memory(path, bytes_per_point * min(stated_count, len(data) // 43))
         coordinates, bytes_of_colours, at = array("d"), bytearray(), 8
         try:
-            for _ in range(stated):
+            for _ in range(stated_count):
                 coordinates.extend(_COLMAP_POINT.unpack_from(data, at + 8))
                 bytes_of_colours += data[at + 32 : at + 35]
                 at += 51 + 8 * struct.unpack_from("<Q", data, at + 43)[0]
@@ -103,8 +103,8 @@ def read_colmap(data: bytes, path: Path, bytes_per_point: int) -> tuple[Array, A
             at = len(data) + 1
         if at != len(data):
             raise InputError(
-                f"{path}: ends early, or holds more than the {stated:,} points that it states, "
-                "expected a whole points3D.bin; write the model again"
+                f"{path}: ends early, or holds more than the {stated_count:,} points that it "
+                "states, expected a whole points3D.bin; write the model again"
             )
         points = np.array(coordinates).reshape(-1, 3)
         colours = np.frombuffer(bytes(bytes_of_colours), np.uint8).reshape(-1, 3).astype(np.float64)
@@ -145,13 +145,13 @@ class _Header(NamedTuple):
     most: int
 
 
-def _check_count(path: Path, found: int, stated: float, where: str) -> None:
+def _check_count(path: Path, count: int, stated_count: float, where: str) -> None:
     """Raise InputError unless a file has as many points as it states."""
-    if found != stated:
-        begin = "ends early: it has" if found < stated else "has"
+    if count != stated_count:
+        begin = "ends early: it has" if count < stated_count else "has"
         raise InputError(
-            f"{path}: {begin} {found:,} lines of points, {where} states {stated:,.15g}, expected "
-            "the same; write the file again"
+            f"{path}: {begin} {count:,} lines of points, {where} states "
+            f"{stated_count:,.15g}, expected the same; write the file again"
         )
 
 
@@ -203,9 +203,9 @@ def _header(rows: Iterator[list[str]], path: Path) -> _Header:
     for row in rows:
         names = [cell.strip(" \"'/#").lower() for cell in row]
         for form in _NAMES:
-            wanted = [form.format(axis, place) for place, axis in enumerate(AXES)]
-            if all(names.count(name) == 1 for name in wanted):
-                x, y, z = map(names.index, wanted)
+            axis_names = [form.format(axis, place) for place, axis in enumerate(AXES)]
+            if all(names.count(name) == 1 for name in axis_names):
+                x, y, z = map(names.index, axis_names)
                 return _Header((x, y, z), [], len(row))
         if not any(row) or row[0].startswith("#"):
             continue
@@ -227,20 +227,20 @@ def _number(cell: str) -> float:
 def _wrong_row(path: Path, line: int, row: list[str], columns: tuple[int, ...]) -> InputError:
     """The error of a row whose x, y or z is not a number."""
     if len(row) <= max(columns):
-        found, more = f"{len(row)} columns", f"at least {max(columns) + 1}"
-        return InputError(f"{path}: line {line} has {found}, expected {more}")
-    found = ""
+        count, least = len(row), max(columns) + 1
+        return InputError(f"{path}: line {line} has {count} columns, expected at least {least}")
+    words = ""
     for axis, place in zip(AXES, columns, strict=True):
         try:
             _number(row[place])
         except ValueError:
             cell = row[place].strip()
-            found = f"{shown(cell) if cell else 'an empty cell'} as {axis}"
+            words = f"{shown(cell) if cell else 'an empty cell'} as {axis}"
             if cell.count(".") > 1:
-                found += " (commas are decimal, so it has several points)"
+                words += " (commas are decimal, so it has several points)"
             break
     return InputError(
-        f"{path}: line {line} has {found}, expected a number such as 0.5 or 1e-3; "
+        f"{path}: line {line} has {words}, expected a number such as 0.5 or 1e-3; "
         "write one or leave the line out"
     )
 

@@ -72,8 +72,8 @@ def is_there(file: Path) -> bool:
 def require_memory(path: Path, needed: int) -> None:
     """Raise InputError unless ``needed`` bytes of memory are free for what is in ``path``."""
     if needed > (free := free_memory()):
-        found = f"needs about {needed / 2**30:.2g} GiB of memory"
-        raise InputError(f"{path}: {found}, expected at most the {free / 2**30:.2g} that are free")
+        need = f"needs about {needed / 2**30:.2g} GiB of memory"
+        raise InputError(f"{path}: {need}, expected at most the {free / 2**30:.2g} that are free")
 
 
 def free_memory() -> float:
@@ -87,8 +87,10 @@ def free_memory() -> float:
             Path("/proc/meminfo").read_text().partition("MemAvailable:")[2].split()[0]
         )
         group = Path("/sys/fs/cgroup")
-        left = int((group / "memory.max").read_text()) - int((group / "memory.current").read_text())
-        free = min(free, left)
+        of_container = int((group / "memory.max").read_text()) - int(
+            (group / "memory.current").read_text()
+        )
+        free = min(free, of_container)
     return free
 
 

@@ -51,12 +51,12 @@ def shape_kind(path: Path) -> str:
     if suffix not in SUFFIXES and not path.is_dir():
         from .plugins import readers
 
-        others = readers()
-        if suffix in others:
+        plugins = readers()
+        if suffix in plugins:
             return "cloud"
         raise InputError(
             f"{path}: the suffix is {suffix!r}, "
-            f"expected a cloud, mesh or grid: {', '.join((*SUFFIXES, *others))}"
+            f"expected a cloud, mesh or grid: {', '.join((*SUFFIXES, *plugins))}"
         )
     if suffix in MESH_SUFFIXES:
         return "mesh"
@@ -85,18 +85,26 @@ def read_shape(
     A cloud gives its own points; of a surface ``samples`` points are drawn. With ``as_vertices``
     a mesh gives its vertices. Raises InputError if the file has neither points nor a surface.
     """
-    kind = shape_kind(path)
-    if kind == "cloud" or (as_vertices and path.suffix.lower() == ".ply"):
+    surface = None if as_vertices and path.suffix.lower() == ".ply" else read_surface(path)
+    if surface is None:
         return read_cloud(path, extended=False).points
-    if kind == "mesh":
-        mesh = read_mesh(path, textures=False)
-        vertices, faces = mesh.vertices, mesh.faces
-        if as_vertices:
-            return vertices
-    else:
-        vertices, faces = grid_surface(path)
+    vertices, faces = surface
+    if as_vertices and shape_kind(path) == "mesh":
+        return vertices
     with prefixed(f"{path}: "):
         return sample_surface(vertices, faces, samples, np.random.default_rng(seed))
+
+
+def read_surface(path: Path) -> tuple[Array, Indices] | None:
+    """Vertices [V, 3] and faces [F, 3] of the mesh or grid in a file; None for a cloud.
+
+    Raises InputError as `read_mesh`, or if the grid has no occupied voxel.
+    """
+    kind = shape_kind(path)
+    if kind == "mesh":
+        mesh = read_mesh(path, textures=False)
+        return mesh.vertices, mesh.faces
+    return grid_surface(path) if kind == "voxels" else None
 
 
 def grid_surface(path: Path) -> tuple[Array, Indices]:

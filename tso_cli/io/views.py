@@ -142,24 +142,23 @@ def load_views(files: ViewFiles) -> tuple[list[View], list[CameraOrigin]]:
     """
     ignore = files.one_each("ignore", "ignore maps", files.ignore)
     partial_cameras, origins = _cameras(files)
-    views, found = [], []
+    views, notes = [], []
     for mask, ignored, camera, origin in zip(
         files.masks, ignore, partial_cameras, origins, strict=True
     ):
-        view, scaled = _read_view(mask, camera, origin, ignored, files)
+        view, of_view = _read_view(mask, camera, origin, ignored, files)
         views.append(view)
-        found.append(replace(origin, notes=(*origin.notes, *scaled)))
+        notes.append([*origin.notes, *of_view])
     stored = [camera is not None for camera in partial_cameras]
-    for number, (view, notes) in enumerate(with_depth_and_images(views, files, stored)):
+    for number, (view, more) in enumerate(with_depth_and_images(views, files, stored)):
         views[number] = view
-        found[number] = replace(found[number], notes=(*found[number].notes, *notes))
-    for number, known in enumerate(partial_cameras):
-        lens = known.distortion if known else None
+        notes[number] += more
+    for number, camera in enumerate(partial_cameras):
+        lens = camera.distortion if camera else None
         if lens and not lens.none:
             views[number] = _without_distortion(views[number], lens)
-            undone = (*found[number].notes, "lens distortion undone")
-            found[number] = replace(found[number], notes=undone)
-    return views, found
+            notes[number].append("lens distortion undone")
+    return views, [replace(o, notes=tuple(n)) for o, n in zip(origins, notes, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -190,11 +189,11 @@ def view_without_camera(files: ViewFiles) -> tuple[View, KnownFocal]:
     if files.intrinsics is None:
         return _with_focal(view, files)
     canonical = PartialCamera("", R=view.camera.R, t=view.camera.t)
-    given, _ = read_partial_cameras(files.intrinsics)
-    known = with_intrinsics(canonical, given, files.intrinsics, mask)
+    calibration, _ = read_partial_cameras(files.intrinsics)
+    partial = with_intrinsics(canonical, calibration, files.intrinsics, mask)
     height, width = view.mask.shape
-    view = replace(view, camera=known.camera(files.intrinsics, width, height))
-    lens = known.distortion
+    view = replace(view, camera=partial.camera(files.intrinsics, width, height))
+    lens = partial.distortion
     if lens is not None and not lens.none:
         view = _without_distortion(view, lens)
     return view, KnownFocal(f"K of {files.intrinsics}", 0.0)
@@ -202,14 +201,14 @@ def view_without_camera(files: ViewFiles) -> tuple[View, KnownFocal]:
 
 def _with_focal(view: View, files: ViewFiles) -> tuple[View, KnownFocal]:
     height, width = view.mask.shape
-    if given := files.known_focal:
-        source, of_size = given
+    if focal := files.known_focal:
+        source, of_size = focal
         return _with_K(view, of_size(width, height)), KnownFocal(source, 0.0)
     for photo in (*files.image, *files.masks):
         if share := focal_length_of_exif(photo):
             K = intrinsics(share * math.hypot(width, height), width, height)
-            known = KnownFocal(f"the EXIF data of {photo.name}", KnownFocal.OF_EXIF)
-            return _with_K(view, K), known
+            source_of_focal = KnownFocal(f"the EXIF data of {photo.name}", KnownFocal.OF_EXIF)
+            return _with_K(view, K), source_of_focal
     return view, KnownFocal()
 
 
@@ -239,35 +238,35 @@ def _cameras(files: ViewFiles) -> tuple[list[PartialCamera | None], list[CameraO
                     f"expected `camera` FILE with a view for each of {len(sources)} masks"
                 )
             continue
-        given, name = read_partial_cameras(source, files.camera_format, files.object_id)
-        chosen, by_name = paired(source, given, masks)
-        for number, camera in zip(numbers, chosen, strict=True):
+        partial, name = read_partial_cameras(source, files.camera_format, files.object_id)
+        cameras_of_masks, by_name = paired(source, partial, masks)
+        for number, camera in zip(numbers, cameras_of_masks, strict=True):
             # In tso's own format the views that masks name need no further words.
-            shown = name != OWN_FORMAT or not by_name
-            view = camera.label if shown and (len(given) > 1 or name != OWN_FORMAT) else ""
+            has_words = name != OWN_FORMAT or not by_name
+            view = camera.label if has_words and (len(partial) > 1 or name != OWN_FORMAT) else ""
             turned = ("turned for a cloud with y up",) if files.y_up and camera.z_up else ()
             cameras[number] = camera.for_y_up() if files.y_up else camera
             origins[number] = CameraOrigin(source, view, by_name, name, turned)
-    if known := files.known_focal:
+    if focal := files.known_focal:
         for number, (posed, origin) in enumerate(zip(cameras, origins, strict=True)):
-            cameras[number] = _with_given_focal(posed, origin.file, known[1])
-            origins[number] = replace(origin, notes=(*origin.notes, f"with {known[0]}"))
+            cameras[number] = _with_given_focal(posed, origin.file, focal[1])
+            origins[number] = replace(origin, notes=(*origin.notes, f"with {focal[0]}"))
     if files.intrinsics is not None:
-        given, _ = read_partial_cameras(files.intrinsics)
+        partial, _ = read_partial_cameras(files.intrinsics)
         for number, (posed, origin) in enumerate(zip(cameras, origins, strict=True)):
             if posed is None:
                 raise InputError(
                     f"`intrinsics` {files.intrinsics}: says nothing about the pose, expected "
                     "`camera` FILE or `camera` fit with it"
                 )
-            cameras[number] = with_intrinsics(posed, given, files.intrinsics, files.masks[number])
+            cameras[number] = with_intrinsics(posed, partial, files.intrinsics, files.masks[number])
             note = f"K of {files.intrinsics}"
             origins[number] = replace(origin, notes=(*origin.notes, note))
     return cameras, origins
 
 
 def _with_given_focal(
-    posed: PartialCamera | None, file: Path | None, known: Intrinsics
+    posed: PartialCamera | None, file: Path | None, intrinsics: Intrinsics
 ) -> PartialCamera:
     """``posed``, which is of ``file``, with the K that is given by a focal length or an angle."""
     if posed is None:
@@ -280,7 +279,7 @@ def _with_given_focal(
             f"{file}: has K, and `focal` or `fov` says it again, expected one; leave them out, or "
             "replace K by `intrinsics` FILE"
         )
-    return replace(posed, intrinsics=known)
+    return replace(posed, intrinsics=intrinsics)
 
 
 def with_intrinsics(
@@ -314,7 +313,7 @@ def _read_view(
     stored = camera is not None
     mask, notes = _raster(mask_file, read, of_camera, stored)
     height, width = mask.shape
-    known = None
+    counted = None
     if ignore_file is not None:
         ignored, more = _raster(
             ignore_file,
@@ -322,16 +321,16 @@ def _read_view(
             lambda size: size == (width, height),
             stored,
         )
-        known = ignored <= 0.5
+        counted = ignored <= 0.5
         notes += more
-        require_same_size(ignore_file, known.shape, mask_file, mask.shape)
+        require_same_size(ignore_file, counted.shape, mask_file, mask.shape)
     if camera is None or origin.file is None:
         full = Camera.canonical(width, height)
     else:
         full = camera.camera(origin.file, width, height)
         if camera.size and camera.size != (width, height):
             notes.append(f"K scaled from {camera.size[0]}x{camera.size[1]} to {width}x{height}")
-    view = View(mask, full, known, name=str(mask_file), mask_error=files.mask_error)
+    view = View(mask, full, counted, name=str(mask_file), mask_error=files.mask_error)
     return view, notes
 
 
@@ -349,13 +348,13 @@ def _raster(
     if orientation(file) == 1:
         return read(True), []
     upright = not stored
-    chosen = read(upright)
-    if not fits((chosen.shape[1], chosen.shape[0])):
+    picture = read(upright)
+    if not fits((picture.shape[1], picture.shape[0])):
         other = read(not upright)
         if fits((other.shape[1], other.shape[0])):
-            chosen, upright = other, not upright
-    done = "is turned upright by" if upright else "is taken as it is stored, without"
-    return chosen, [f"{file.name} {done} its EXIF orientation"]
+            picture, upright = other, not upright
+    how = "is turned upright by" if upright else "is taken as it is stored, without"
+    return picture, [f"{file.name} {how} its EXIF orientation"]
 
 
 def with_depth_and_images(

@@ -65,13 +65,13 @@ def _by_trees(queries: Tensor, data: Tensor, valid: Tensor | None, active: Tenso
     searched, there = queries.isfinite().all(-1), data.isfinite().all(-1)
     searched = searched if active is None else searched & active
     there = there if valid is None else there & valid
-    for row, cloud, points, wanted, chosen in zip(
+    for row, cloud, points, asking, existing in zip(
         index, queries, data, searched, there, strict=True
     ):
-        numbers = np.flatnonzero(chosen.numpy())
-        if len(numbers) and wanted.any():
-            tree = cKDTree(points[chosen].numpy(), balanced_tree=False, compact_nodes=False)
-            row[wanted] = torch.from_numpy(numbers[tree.query(cloud[wanted].numpy())[1]])
+        numbers = np.flatnonzero(existing.numpy())
+        if len(numbers) and asking.any():
+            tree = cKDTree(points[existing].numpy(), balanced_tree=False, compact_nodes=False)
+            row[asking] = torch.from_numpy(numbers[tree.query(cloud[asking].numpy())[1]])
     return index
 
 

@@ -83,7 +83,7 @@ def _nearest(  # type: ignore[no-untyped-def]
         when = tl.where(closer, start, when)
     closest = tl.min(nearest, 1)
     first = tl.min(tl.where(nearest == closest[:, None], when + lane[None, :], 2147483647), 1)
-    found = searches & (closest < float("inf"))
+    finite = searches & (closest < float("inf"))
     tl.store(
-        index + row * query_count + place, tl.where(found, first, -1).to(tl.int64), mask=exists
+        index + row * query_count + place, tl.where(finite, first, -1).to(tl.int64), mask=exists
     )

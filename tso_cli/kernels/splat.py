@@ -108,5 +108,5 @@ def _splats(
 ) -> Iterator[tuple[Splat, Tensor]]:
     """The sums of each of the ``images`` [M, H, W], and which points [N] are drawn."""
     for points, drawn in zip(points_px, valid & points_px.isfinite().all(-1), strict=True):
-        chosen = points[drawn].double().numpy()
-        yield Splat(chosen, images.shape[1], images.shape[2], sigma_sq), drawn
+        drawn_px = points[drawn].double().numpy()
+        yield Splat(drawn_px, images.shape[1], images.shape[2], sigma_sq), drawn

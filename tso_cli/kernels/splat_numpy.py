@@ -55,8 +55,8 @@ class Splat:
         order = np.argsort(points_px[:, 1], kind="stable")
         columns = np.arange(width)
         for start in range(0, len(order), POINTS_AT_ONCE):
-            chosen = order[start : start + POINTS_AT_ONCE]
-            x, y = points_px[chosen].T[:, :, None]
+            rows = order[start : start + POINTS_AT_ONCE]
+            x, y = points_px[rows].T[:, :, None]
             # Of floats, as the row of a far point may not fit an integer.
             top = int(min(max(np.rint(y[0, 0]) - radius, 0.0), height))
             bottom = int(min(max(np.rint(y[-1, 0]) + radius + 1.0, 0.0), height))
@@ -64,7 +64,7 @@ class Splat:
                 dx, dy = columns - x, np.arange(top, bottom) - y
                 across, down = self._weights(dx), self._weights(dy)
                 self.sums[top:bottom] += down.T @ across
-                self._bands.append(_Band(chosen, slice(top, bottom), dx, dy, across, down))
+                self._bands.append(_Band(rows, slice(top, bottom), dx, dy, across, down))
 
     def _weights(self, distance: Array) -> Array:
         exponent = np.square(distance)

@@ -70,9 +70,9 @@ def _axis(coordinate, reached):  # type: ignore[no-untyped-def]
 
     Integers outside the image could overflow.
     """
-    kept = tl.where(reached, coordinate, 0.0)
-    nearest = tl.floor(kept + 0.5)
-    return nearest.to(tl.int32), kept - nearest
+    place = tl.where(reached, coordinate, 0.0)
+    nearest = tl.floor(place + 0.5)
+    return nearest.to(tl.int32), place - nearest
 
 
 @triton.jit

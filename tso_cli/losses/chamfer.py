@@ -22,9 +22,9 @@ class ChamferToStart:
 
     def __call__(self, points: Array) -> tuple[float, Array]:
         """The distance, and its gradient [N, 3] by ``points`` [N, 3]."""
-        initial, spacing, own = self.initial, self._spacing, np.arange(len(points))
+        initial, spacing, numbers = self.initial, self._spacing, np.arange(len(points))
         shift = np.sqrt(np.square(points - initial).sum(1))
-        to_start, to_moved = own.copy(), own.copy()
+        to_start, to_moved = numbers.copy(), numbers.copy()
         # |m_i - s_j| >= |s_i - s_j| - |m_i - s_i|
         far = ~(2.0 * shift <= spacing)
         if far.any():

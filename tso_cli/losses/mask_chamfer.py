@@ -182,8 +182,8 @@ def _uncovered(
     pixels = np.stack([columns, rows], 1).astype(float)
     owner = candidates[nearest(pixels, points_px[candidates])]
     offsets = points_px[owner] - pixels
-    kept = observed[owner] & (np.square(offsets).sum(1) > within**2)
-    return owner[kept], offsets[kept]
+    far = observed[owner] & (np.square(offsets).sum(1) > within**2)
+    return owner[far], offsets[far]
 
 
 def _outside_mask(

@@ -30,15 +30,15 @@ def nearest_few(queries: Array, data: Array, count: int) -> Indices:
     """
     if len(queries) * len(data) > MOST_PAIRS:
         return _by_tree(queries, data, count).reshape(-1, count)
-    chosen = []
+    blocks = []
     for squared in _shifted_distances(queries, data):
         few = np.empty((len(squared), count), np.int64)
         # A few searches for the minimum take a third of the time of a partition.
         for place in range(count):
             few[:, place] = squared.argmin(1)
             squared[np.arange(len(squared)), few[:, place]] = np.inf
-        chosen.append(few)
-    return np.concatenate(chosen)
+        blocks.append(few)
+    return np.concatenate(blocks)
 
 
 def _by_tree(queries: Array, data: Array, count: int) -> Indices:

@@ -56,8 +56,8 @@ def silhouette_bce(
     height, width = foreground.shape
     share = REFERENCE_SIDE**2 / (width * height)
     gradient = np.zeros((len(points_px), 2))
-    chosen = points_px[valid]
-    splat = Splat(chosen, height, width, sigma_sq)
+    valid_px = points_px[valid]
+    splat = Splat(valid_px, height, width, sigma_sq)
     s = splat.sums
     covered = s > NEGLIGIBLE
     complement = -np.expm1(-2.0 * s)
@@ -74,7 +74,7 @@ def silhouette_bce(
     rows, columns = np.nonzero(~covered & (foreground > 0.0))
     if len(rows):
         pixels = np.stack([columns, rows], 1).astype(float)
-        owner = np.flatnonzero(valid)[nearest(pixels, chosen)]
+        owner = np.flatnonzero(valid)[nearest(pixels, valid_px)]
         offsets = points_px[owner] - pixels
         weights = foreground[rows, columns] * (0.5 / sigma_sq)
         value += float((weights * np.square(offsets).sum(1)).sum())

@@ -117,9 +117,9 @@ class RefineConfig:
 
     def settings(self) -> Settings:
         """The same with the values of preset and mode in place of None."""
-        chosen = {name: value for name, value in vars(self).items() if value is not None}
+        options = {name: value for name, value in vars(self).items() if value is not None}
         names = Settings.__dataclass_fields__
-        values = vars(DEFAULTS[self.preset, self.mode]) | chosen
+        values = vars(DEFAULTS[self.preset, self.mode]) | options
         if self.only:
             values["steps"] = 0
         values["prior"] = str(values["prior"])

@@ -51,10 +51,10 @@ class Problem:
         """With the views resampled to windows around mask and cloud."""
         views, plane = tuple(views), symmetry.plane
         flipped = () if plane is None else tuple(map(plane.flipped, views))
-        given, mirrored = (
-            windowed(some, cloud, sigma_sq, cloud.control_points) for some in (views, flipped)
+        windowed_views, mirrored = (
+            windowed(group, cloud, sigma_sq, cloud.control_points) for group in (views, flipped)
         )
-        return cls(cloud, given, mirrored, symmetry, sigma_sq)
+        return cls(cloud, windowed_views, mirrored, symmetry, sigma_sq)
 
     @property
     def views(self) -> tuple[View, ...]:
@@ -78,11 +78,11 @@ class Problem:
         the learned prior has moved the cloud.
         """
         around = self.cloud.denormalise(points)
-        given, flipped = (
-            windowed([one.view for one in some], self.cloud, self.sigma_sq, around, FINE_CELLS)
-            for some in (self.given, self.flipped)
+        fine, fine_flipped = (
+            windowed([w.view for w in group], self.cloud, self.sigma_sq, around, FINE_CELLS)
+            for group in (self.given, self.flipped)
         )
-        return replace(self, given=given, flipped=flipped)
+        return replace(self, given=fine, flipped=fine_flipped)
 
     def targets(self, weights: Sequence[float]) -> ViewTargets:
         """Of all views; ``weights`` are of the given views, and count for the flipped ones too."""

@@ -90,8 +90,8 @@ def _best_plane(points: Array) -> FittedPlane:
     axes = np.concatenate([np.eye(3), np.linalg.svd(subset - centre, full_matrices=False)[2]])
     spacing = _spacing(measured)
     candidates = [_improved(MirrorPlane(axis, float(axis @ centre)), subset) for axis in axes]
-    found = [_measured(plane, measured, subset, spacing) for plane in candidates]
-    best = min(found, key=lambda candidate: candidate.mean).plane
+    measured_planes = [_measured(plane, measured, subset, spacing) for plane in candidates]
+    best = min(measured_planes, key=lambda candidate: candidate.mean).plane
     return _measured(_improved(best, measured), measured, measured, spacing)
 
 
@@ -111,8 +111,8 @@ def _improved(plane: MirrorPlane, points: Array) -> MirrorPlane:
         squared = np.square(image - pairs).sum(1)
         # Two points, each the nearest to the other's mirror image, are equally far up to rounding.
         # Both are kept, or neither.
-        kept = squared <= np.partition(squared, last)[last] * (1.0 + Search.EQUALLY_FAR)
-        x, y = points[kept], pairs[kept]
+        near = squared <= np.partition(squared, last)[last] * (1.0 + Search.EQUALLY_FAR)
+        x, y = points[near], pairs[near]
         product = (x - x.mean(0)).T @ (y - y.mean(0))
         normal = np.linalg.eigh(product + product.T)[1][:, 0]
         plane = MirrorPlane(normal, float(normal @ (x.mean(0) + y.mean(0))) / 2.0)
@@ -152,8 +152,8 @@ class SymmetryDecision:
     @property
     def plane(self) -> MirrorPlane | None:
         """The plane that is used, in the frame of the input."""
-        used = self.candidate is not None and self.outcome in ("used", "given")
-        return self.candidate.plane if used and self.candidate else None
+        has_plane = self.candidate is not None and self.outcome in ("used", "given")
+        return self.candidate.plane if has_plane and self.candidate else None
 
     @property
     def coefficients(self) -> tuple[float, float, float, float] | None:
@@ -188,12 +188,12 @@ def decide_symmetry(cloud: ControlledCloud, symmetry: str) -> SymmetryDecision:
         # nor origin of the input changes the result. All points of a cloud are searched: control
         # points need not be symmetric where the cloud is.
         of_mesh = cloud.source.surface is not None
-        found = find_mirror_plane(cloud.start if of_mesh else cloud.normalise(cloud.measured))
-        normal = found.plane.normal.round(6)
+        candidate = find_mirror_plane(cloud.start if of_mesh else cloud.normalise(cloud.measured))
+        normal = candidate.plane.normal.round(6)
         normal = normal / np.linalg.norm(normal)
-        offset = cloud.scale * round(found.plane.offset, 6) + float(normal @ cloud.centre)
-        found = replace(found, plane=MirrorPlane(normal, offset))
-        return SymmetryDecision("used" if found.symmetric else "none_found", found)
+        offset = cloud.scale * round(candidate.plane.offset, 6) + float(normal @ cloud.centre)
+        candidate = replace(candidate, plane=MirrorPlane(normal, offset))
+        return SymmetryDecision("used" if candidate.symmetric else "none_found", candidate)
     if isinstance(parsed, str):
         normal = np.eye(3)["xyz".index(parsed)]
         plane = MirrorPlane(normal, float(normal @ cloud.centre))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..evaluation.footprint import WindowImages, common_window, grid_of, in_window
+from ..evaluation.footprint import Solid, WindowImages, common_window, grid_of, in_window
 from ..geometry.arrays import Array, Box, Pixels
 from ..geometry.camera import Camera
 from ..geometry.points import evenly
@@ -160,9 +160,9 @@ def _from_camera(result: RefineResult, view: View) -> list[NDArray[np.float64]]:
     return [((points - middle) / half).T for points in rotated]
 
 
-def stages_of(result: RefineResult, view: View, number: int) -> list[tuple[Array, View]]:
-    """The points before (given camera) and after (refined camera), and what sees them."""
-    before, after = result.measured
+def stages_of(result: RefineResult, view: View, number: int) -> list[tuple[Solid, View]]:
+    """What is seen before (given camera) and after (refined camera), and what sees it."""
+    before, after = result.solids
     return [(before, view), (after, replace(view, camera=result.cameras[number]))]
 
 
@@ -173,7 +173,7 @@ def _silhouettes(
     stages = stages_of(result, view, number)
     box = common_window(stages)
     behind = photo_in_window(photo, view.camera, box)
-    return [_fitted(compare(in_window(points, stage, box), behind)) for points, stage in stages]
+    return [_fitted(compare(in_window(solid, stage, box), behind)) for solid, stage in stages]
 
 
 def _draw(rows: list[Row], heading: str | None, colours: dict[str, Colour]) -> Image.Image:

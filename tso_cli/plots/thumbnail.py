@@ -21,8 +21,8 @@ def write_thumbnail(path: Path, result: RefineResult, views: Sequence[View]) -> 
     stages = stages_of(result, views[0], 0)
     window = common_window(stages)
     both = Image.new("RGB", (2 * SIDE + GAP, SIDE), "white")
-    for number, (points, stage) in enumerate(stages):
-        colours = np.rint(compare(in_window(points, stage, window)) * 255.0).astype(np.uint8)
+    for number, (solid, stage) in enumerate(stages):
+        colours = np.rint(compare(in_window(solid, stage, window)) * 255.0).astype(np.uint8)
         square = Image.fromarray(colours).resize((SIDE, SIDE), Image.Resampling.BOX)
         both.paste(square, (number * (SIDE + GAP), 0))
     both.quantize(16).save(path, format="PNG", optimize=True)

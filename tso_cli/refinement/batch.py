@@ -160,29 +160,31 @@ def _each(
     """``stop`` is set at Ctrl-C; None if Ctrl-C is the caller's."""
     processes = _processes(len(scenes) if isinstance(scenes, Sized) else None)
     # A tensor on a GPU cannot be read in another process.
-    jobs = (_Job(number, _on_cpu(one), config) for number, one in enumerate(scenes))
-    own = WorkerPool(processes) if executor is None and processes else None
-    most = window or (AHEAD * cores() if executor or own else 1)
+    jobs = (_Job(number, _on_cpu(scene), config) for number, scene in enumerate(scenes))
+    pool = WorkerPool(processes) if executor is None and processes else None
+    most = window or (AHEAD * cores() if executor or pool else 1)
 
     def instead() -> Executor:
-        nonlocal own
-        own = WorkerPool(min(most, cores()))
+        nonlocal pool
+        pool = WorkerPool(min(most, cores()))
         warnings.warn("the executor broke, so processes of tso refine the rest", stacklevel=2)
-        return own
+        return pool
 
     stopping = stop.is_set if stop else lambda: False
     try:
-        with _passed_on(own, stop):
-            used = executor or own or Here()
-            for ended in each(used, _refined, jobs, most, stopping=stopping, instead=instead):
+        with _passed_on(pool, stop):
+            executor_of_jobs = executor or pool or Here()
+            for ended in each(
+                executor_of_jobs, _refined, jobs, most, stopping=stopping, instead=instead
+            ):
                 result = _result_of(ended)
                 if stop is not None and _interrupted(result):
                     stop.set()
                 if not isinstance(result, Interrupted):
                     yield ended.job.number, result
     finally:
-        if own is not None:
-            own.shutdown(wait=False)
+        if pool is not None:
+            pool.shutdown(wait=False)
 
 
 def _passed_on(
@@ -249,6 +251,6 @@ def _points_and_views(scene: Any, number: int) -> Scene:
         points, views = scene
     except (TypeError, ValueError):
         sized = hasattr(scene, "__len__")
-        shown = f"{type(scene).__name__} of {len(scene)}" if sized else repr(scene)
-        raise InputError(f"scene {number} is {shown}, expected (points, views)") from None
+        what = f"{type(scene).__name__} of {len(scene)}" if sized else repr(scene)
+        raise InputError(f"scene {number} is {what}, expected (points, views)") from None
     return points, views

@@ -62,15 +62,17 @@ def fit_maps(
     prior = named_prior(settings.prior)
     if prior is None or not settings.steps:
         return scene.with_views(*fitted(cloud.control_points, scene.views))
-    seen = [
-        without_depth(view) if held else view
-        for view, held in zip(scene.views, held_back, strict=True)
+    fitted_views = [
+        without_depth(view) if is_held else view
+        for view, is_held in zip(scene.views, held_back, strict=True)
     ]
-    points, found = cloud.control_points, list[Finding]()
+    points, findings = cloud.control_points, list[Finding]()
     for _ in range(FITS):
-        points = clock.attempt("move", partial(_begun, cloud, seen, settings, prior), points)
-        seen, found = fitted(points, scene.views)
-    return scene.with_views(seen, found)
+        points = clock.attempt(
+            "move", partial(_begun, cloud, fitted_views, settings, prior), points
+        )
+        fitted_views, findings = fitted(points, scene.views)
+    return scene.with_views(fitted_views, findings)
 
 
 def _begun(
@@ -81,7 +83,7 @@ def _begun(
     return cloud.denormalise(beginning(weighed.problem, weighed.weights, prior).points)
 
 
-def _tested(scene: RefineScene, points: Array, asked: Asked, find: Find) -> RefineScene:
+def _tested(scene: RefineScene, points: Array, freedom: Asked, find: Find) -> RefineScene:
     """The scene without the maps of kind "auto" that are something else; the others are along z.
 
     A map that is wrong where the cloud is given may be wrong because the cloud is out of place. It
@@ -89,26 +91,26 @@ def _tested(scene: RefineScene, points: Array, asked: Asked, find: Find) -> Refi
     """
     if all(view.depth is None or view.depth_kind != "auto" for view in scene.views):
         return scene
-    found = [] if asked in ANYWHERE else wrong_maps(points, scene.views)
-    if found or asked in ANYWHERE:
+    findings = [] if freedom in ANYWHERE else wrong_maps(points, scene.views)
+    if findings or freedom in ANYWHERE:
         _, placed = _placed(scene, find, ("auto", *FITTED))
-        found = wrong_maps(points, placed.views, any_size=asked == "similarity")
-    wrong = [one.views[0] for one in found]
+        findings = wrong_maps(points, placed.views, any_size=freedom == "similarity")
+    wrong = [finding.views[0] for finding in findings]
     views = [
         without_depth(view)
         if number in wrong
         else replace(view, depth_kind="z" if view.depth_kind == "auto" else view.depth_kind)
         for number, view in enumerate(scene.views)
     ]
-    return scene.with_views(views, found)
+    return scene.with_views(views, findings)
 
 
 def _placed(
     scene: RefineScene, find: Find, held_back: Sequence[DepthKind]
 ) -> tuple[Move, RefineScene]:
     """The move without the maps of some kinds, and the scene after it, with these maps again."""
-    given = scene.views
-    bare = [without_depth(view) if view.depth_kind in held_back else view for view in given]
+    views_before = scene.views
+    bare = [without_depth(view) if view.depth_kind in held_back else view for view in views_before]
     scene = scene.with_views([along_z(view) for view in bare])
     move = find(scene)
     placed = scene.after(move)
@@ -116,6 +118,6 @@ def _placed(
         replace(view, depth=before.depth / move.size, depth_kind=before.depth_kind)
         if before.depth is not None and before.depth_kind in held_back
         else view
-        for before, view in zip(given, placed.views, strict=True)
+        for before, view in zip(views_before, placed.views, strict=True)
     ]
     return move, placed.with_views(views)

@@ -74,19 +74,19 @@ def judge(
     if doubtful:
         move, moved = move.taken_back("the result is doubtful"), start
         ious = [(before, before) for before, _ in ious]
-    taken = improved and not doubtful
+    accepted = improved and not doubtful
     at = cloud.start + moved.displacements
     lengths = np.linalg.norm(moved.displacements, axis=1)
     begun = cloud.start if optimised.begun is None else optimised.begun.points
     iou_before, iou_after = np.mean(ious, 0).tolist()
     fit = Fit(
-        outcome="moved" if taken else "left",
+        outcome="moved" if accepted else "left",
         steps=optimised.steps,
-        best_step=optimised.best_step if taken else 0,
+        best_step=optimised.best_step if accepted else 0,
         stop_reason=_stop_reason(optimised, settings, diagnosis.fits, doubtful, improved),
         losses=losses,
         loss_before=optimised.first_loss,
-        loss_after=optimised.best_loss if taken else optimised.first_loss,
+        loss_after=optimised.best_loss if accepted else optimised.first_loss,
         iou_before=iou_before,
         iou_after=iou_after,
         moved_by_prior=float(np.linalg.norm(begun - cloud.start, axis=1).mean()),
@@ -118,6 +118,7 @@ def judge(
         points=move.apply(moved.points),
         initial=cloud.source.points,
         measured=(cloud.measured, move.apply(moved.measured)),
+        solids=(cloud.solid, moved.solid._replace(points=move.apply(moved.solid.points))),
         outliers=cloud.outliers,
         control_points=len(cloud.control_points),
         of_mesh=cloud.source.surface is not None,
@@ -197,7 +198,7 @@ def _ious(problem: Problem, before: Sequence[View], moved: MovedCloud) -> list[t
     """
     ious = []
     for first, last in zip(before, problem.views, strict=True):
-        stages = (problem.cloud.measured, first), (moved.measured, last)
+        stages = (problem.cloud.solid, first), (moved.solid, last)
         box = common_window(stages)
         ious.append((window_iou(*stages[0], box), window_iou(*stages[1], box)))
     return ious

@@ -7,6 +7,7 @@ from typing import Literal
 
 from ..diagnosis.findings import Finding
 from ..diagnosis.trust import Trust
+from ..evaluation.footprint import Solid
 from ..geometry.arrays import Array, Bits, Box
 from ..geometry.camera import Camera
 from ..optimisation.config import Settings
@@ -103,6 +104,7 @@ class RefineResult:
         network's output); of a mesh its vertices.
     measured : the points that measures are of, before and after [M, 3]: all points but outliers,
         or samples of a mesh's surface.
+    solids : what silhouettes are drawn of, before and after: these points, or triangles.
     outliers : [N] bool, points that are not the object, far from the rest or left out by most
         masks: only a move as one moves them, and no measure counts them.
     control_points : how many points moved by themselves; all others follow.
@@ -120,6 +122,7 @@ class RefineResult:
     points: Array
     initial: Array
     measured: tuple[Array, Array]
+    solids: tuple[Solid, Solid]
     outliers: Bits
     control_points: int
     of_mesh: bool

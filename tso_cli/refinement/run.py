@@ -115,21 +115,21 @@ def _move(
     scene: RefineScene,
 ) -> Move:
     """What moves as one first, unless something that was found in the input is likelier."""
-    asked, views = settings.move, scene.views
-    if asked == "shape" and not settings.smooth:
+    freedom, views = settings.move, scene.views
+    if freedom == "shape" and not settings.smooth:
         return unmoved(views, "the shape alone was asked for")
-    find = partial(find_move, cloud.body, views, asked, settings.keep)
+    find = partial(find_move, cloud.body, views, freedom, settings.keep)
     move = clock.attempt("place", find, unmoved(views, "interrupted"))
-    suspects = [one for one in as_given.suspicious if one.hypotheses]
+    suspects = [finding for finding in as_given.suspicious if finding.hypotheses]
     if move.kind == "nothing" or move.why_unsure or not suspects:
         return move
     says = f"perhaps {suspects[0].says} instead ({suspects[0].name})"
     # A mask that is flipped or upside down is met by a cloud that is turned the wrong way.
-    if move.is_far and any(one.of_mask for finding in suspects for one in finding.hypotheses):
+    if move.is_far and any(h.of_mask for finding in suspects for h in finding.hypotheses):
         return replace(move, why_unsure=says)
     # What has nothing to fit, and explains as much, is likelier than a move.
     least = agreement(cloud.control_points, scene.after(move).views) - SIMILAR
-    if (asked == "auto" or not move.explains) and suspects[0].score >= least:
+    if (freedom == "auto" or not move.explains) and suspects[0].score >= least:
         return unmoved(views, says)
     return move
 

@@ -87,15 +87,15 @@ def as_scene(
         cloud = Cloud(cloud, name)
     views = as_views(masks, cameras)
     listed = masks if isinstance(masks, Sequence) else [masks]
-    with_camera = cameras is not None or any(isinstance(one, View) for one in listed)
+    with_camera = cameras is not None or any(isinstance(entry, View) for entry in listed)
     if not with_camera and not cloud.predicted:
         known = (*known, Finding(ASSUMED_CAMERA, (0,)))
     if isinstance(assume, str) or not isinstance(assume, Iterable):
         raise InputError(f"`assume` is {assume!r}, expected a sequence of names")
-    if others := [one for one in assume if not isinstance(one, (str, Assumption))]:
-        raise InputError(f"`assume` holds {others[0]!r}, expected names")
-    texts = [one for one in assume if isinstance(one, str)]
-    assumptions = [one for one in assume if isinstance(one, Assumption)]
+    if wrong := [entry for entry in assume if not isinstance(entry, (str, Assumption))]:
+        raise InputError(f"`assume` holds {wrong[0]!r}, expected names")
+    texts = [entry for entry in assume if isinstance(entry, str)]
+    assumptions = [entry for entry in assume if isinstance(entry, Assumption)]
     assumptions += assumptions_of(texts, [view.name for view in views]) if texts else ()
     return RefineScene(cloud, views, tuple(assumptions), tuple(known))
 
@@ -129,8 +129,8 @@ def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tu
     if not (
         isinstance(cameras, Sequence) and all(isinstance(camera, Camera) for camera in cameras)
     ):
-        found = type(cameras).__name__
-        raise InputError(f"the cameras are of type {found}, expected a Camera for each mask")
+        type_name = type(cameras).__name__
+        raise InputError(f"the cameras are of type {type_name}, expected a Camera for each mask")
     if len(arrays) == 0 or len(arrays) != len(cameras):
         raise InputError(
             f"found {len(arrays)} masks and {len(cameras)} cameras, expected one camera for each "

@@ -174,8 +174,8 @@ def around(
     part: Callable[[], list[Part]] | list[Part], count: int, first: float = 0.0
 ) -> list[Part]:
     """The same parts ``count`` times around y."""
-    made = part() if callable(part) else part
-    return [one for k in range(count) for one in about(made, UP, first + 360.0 * k / count)]
+    solids = part() if callable(part) else part
+    return [solid for k in range(count) for solid in about(solids, UP, first + 360.0 * k / count)]
 
 
 # Furniture.
@@ -193,11 +193,11 @@ def legs(rng: Rng, width: float, depth: float, height: float) -> list[Part]:
         return both_sides([block((thick, height, depth), (x, height / 2, 0))], 0)
     make = bar if kind == 2 else lambda a, b, r: beam(a, b, 2 * r, 2 * r)
     leg = make((x + splay, 0, z + splay), (x, height, z), thick * rng.uniform(0.5, 1.0))
-    found = both_sides(both_sides([leg], 0), 2)
+    parts = both_sides(both_sides([leg], 0), 2)
     if rng.random() < 0.4:
         low = rng.uniform(0.15, 0.6) * height
-        found += both_sides([beam((-x, low, z), (x, low, z), 0.6 * thick, thick)], 2)
-    return found
+        parts += both_sides([beam((-x, low, z), (x, low, z), 0.6 * thick, thick)], 2)
+    return parts
 
 
 def chair(rng: Rng) -> list[Part]:
@@ -375,7 +375,7 @@ def airplane(rng: Rng) -> list[Part]:
     parts += both_sides([wing(root, small * span, 0.55 * chord, 0.6 * sweep, taper, 0.0, 0.02)])
     tall, swept = rng.uniform(0.12, 0.28), rng.uniform(0.0, 0.12)
     fin = wing((0, 0, 0), tall, 0.6 * chord, swept, taper, 0.0, 0.02)
-    parts += [one.at((back, 0.02, 0)) for one in about([fin], (1, 0, 0), -90.0)]
+    parts += [solid.at((back, 0.02, 0)) for solid in about([fin], (1, 0, 0), -90.0)]
     if (engines := rng.choice(3)) and span > 0.5:
         for k in range(engines):
             z = span * (0.3 + 0.25 * k)
@@ -731,9 +731,9 @@ def thin_sheet(rng: Rng) -> list[Part]:
     bend = rng.normal(0, 0.35, 3)
     heights = bend[0] * x**2 + bend[1] * z**2 + bend[2] * x * z
     heights += rng.uniform(0, 0.06) * np.sin(rng.uniform(3, 14) * x + rng.uniform(3, 14) * z)
-    made = sheet(heights, rng.uniform(0.008, 0.04))
-    made = made.mapped(np.diag([1.0, 1.0, rng.uniform(0.2, 1.0)]))
-    return about([made], (1, 0, 0), rng.choice([0.0, 90.0]))
+    solid = sheet(heights, rng.uniform(0.008, 0.04))
+    solid = solid.mapped(np.diag([1.0, 1.0, rng.uniform(0.2, 1.0)]))
+    return about([solid], (1, 0, 0), rng.choice([0.0, 90.0]))
 
 
 def primitives(rng: Rng) -> list[Part]:
@@ -749,7 +749,7 @@ def primitives(rng: Rng) -> list[Part]:
         else:
             part = bar((0, -size[1], 0), (0, size[1], 0), size[0], rng.uniform(0.2, 1.2))
         turn = rng.normal(size=3), rng.choice([0.0, 90.0, rng.uniform(0, 90)])
-        parts += [one.at(at) for one in about([part], *turn)]
+        parts += [solid.at(at) for solid in about([part], *turn)]
         at = at + rng.choice([-1, 1], 3) * size * rng.uniform(0.3, 1.0, 3)
     return parts
 

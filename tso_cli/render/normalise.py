@@ -14,8 +14,8 @@ def normalise(mesh: Mesh) -> Mesh:
 
     Vertices that no face uses are removed.
     """
-    used, faces = np.unique(mesh.faces, return_inverse=True)
-    vertices = mesh.vertices[used]
+    rows, faces = np.unique(mesh.faces, return_inverse=True)
+    vertices = mesh.vertices[rows]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     vertices = (vertices - (low + high) / 2.0) / (high - low).max()
     return replace(mesh, vertices=vertices, faces=faces.reshape(mesh.faces.shape).astype(np.int64))

@@ -109,8 +109,8 @@ class RayScene:
         face = np.where(hits["hit"], hits["face"], 0)
         if self.mesh.paint is None:
             return np.full((*face.shape, 3), GREY, np.uint8)
-        others = hits["barycentric"].reshape(-1, 2).astype(np.float64)
-        shares = np.column_stack([1.0 - others.sum(1), others])
+        second_and_third = hits["barycentric"].reshape(-1, 2).astype(np.float64)
+        shares = np.column_stack([1.0 - second_and_third.sum(1), second_and_third])
         colours = self.mesh.paint.at(face.ravel().astype(np.int64), shares)
         return np.rint(255.0 * colours).astype(np.uint8).reshape(*face.shape, 3)
 

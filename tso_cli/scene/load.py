@@ -95,9 +95,9 @@ def load_points_scene(
     if file.source is not None:
         file.source.require_movable()
     # A camera that is to be fitted needs colours too: they break the symmetries of a shape.
-    wanted = bool(files.image) or fit is not None
-    colours = file.colours() if wanted else None
-    paint = file.paint() if wanted else None
+    compares_colours = bool(files.image) or fit is not None
+    colours = file.colours() if compares_colours else None
+    paint = file.paint() if compares_colours else None
     cloud = Cloud(file.points, str(cloud_file), colours, file.faces(), False, file.faint(), paint)
     if not files.image or colours is not None or cloud.paint is not None:
         if files.image and fit is None:
@@ -124,8 +124,8 @@ def _scene_of(
     known = [
         Finding(ASSUMED_CAMERA, (i,)) for i, origin in enumerate(origins) if origin.file is None
     ]
-    given = RefineScene(cloud, tuple(read), assumptions, tuple(known))
-    return Scene(given, described, summary_of(origins), "input", file)
+    scene = RefineScene(cloud, tuple(read), assumptions, tuple(known))
+    return Scene(scene, described, summary_of(origins), "input", file)
 
 
 def _with_fitted_camera(
@@ -152,8 +152,8 @@ def _with_fitted_camera(
         body.colours,
     ).chosen(pose)
     # The fitted camera is in the axes of the cloud, whatever these are.
-    of_mask = tuple(one for one in assumptions if one.hypothesis.of_mask)
-    of_cloud = [one for one in assumptions if not one.hypothesis.of_mask]
+    of_mask = tuple(assumption for assumption in assumptions if assumption.hypothesis.of_mask)
+    of_cloud = [assumption for assumption in assumptions if not assumption.hypothesis.of_mask]
     read = replace(as_meant(read, of_cloud), camera=fitted.camera)
     known = (
         () if fitted.sure else (Finding("unsure-camera", (0,), values={"why": fitted.why_unsure}),)

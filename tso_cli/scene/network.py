@@ -72,15 +72,15 @@ def load_network_scene(
     image = read_image(image_file)
     require_same_size(image_file, image.shape, files.masks[0], view.mask.shape)
     network, config = load_network(checkpoint)
-    asked = "`frame` world" if world else f"`place` {placing}" if placing != "silhouette" else None
+    option = "`frame` world" if world else f"`place` {placing}" if placing != "silhouette" else None
     if config.frame != "view" and camera_file is None:
         raise InputError(
             f"{checkpoint}: predicts in the canonical frame of its training objects, which needs "
             "the camera's R and t; found no camera file, expected one (`camera` FILE)"
         )
-    if config.frame != "view" and asked:
+    if config.frame != "view" and option:
         raise InputError(
-            f"{checkpoint}: predicts in the canonical frame, found {asked}, which is for "
+            f"{checkpoint}: predicts in the canonical frame, found {option}, which is for "
             "view-aligned networks"
         )
     if camera_file is None and placing == "camera":
@@ -147,12 +147,11 @@ def network_scene(
             source += f"; the network's cloud is placed where it has the object, {distance}"
         else:
             # Without a crop of fixed size, t decides which part of the picture a network sees.
-            used, verb = ("K", "counts") if config.crop_share else ("K and t", "count")
+            numbers, verb = ("K", "counts") if config.crop_share else ("K and t", "count")
             if known_camera:
-                summary += f" (only its {used}{turned})"
-            source += (
-                f"; of it {used} {verb}, the network's cloud is placed to fill the mask, {distance}"
-            )
+                summary += f" (only its {numbers}{turned})"
+            source += f"; of it {numbers} {verb}, the network's cloud is placed to fill the mask"
+            source += f", {distance}"
         crop = replace(crop, camera=placed)
         if world:
             frame = "world"
@@ -161,9 +160,9 @@ def network_scene(
                 return view_to_world(points, placed, view.camera)
 
     cloud = Cloud(points, "the network's prediction", predicted=True)
-    found = tuple(finding for finding in known if finding)
+    findings = tuple(finding for finding in known if finding)
     return Scene(
-        RefineScene(cloud, (crop,), known=found),
+        RefineScene(cloud, (crop,), known=findings),
         (source,),
         summary,
         frame,

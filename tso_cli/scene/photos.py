@@ -126,7 +126,7 @@ def _has_alpha(name: str) -> bool:
 def _is_photo(pixels: Pixels, alpha: bool) -> bool:
     """Whether a picture has many colours; a mask and an image of labels have few, or are grey."""
     step = max(1, int(np.sqrt(pixels.shape[0] * pixels.shape[1] / 65536)))
-    some = pixels[::step, ::step].reshape(-1, 3).astype(np.int32)
-    coloured = int((some.max(1) - some.min(1)).max()) > LEAST_CHROMA
-    codes = some[:, 0] << 16 | some[:, 1] << 8 | some[:, 2]
+    sample = pixels[::step, ::step].reshape(-1, 3).astype(np.int32)
+    coloured = int((sample.max(1) - sample.min(1)).max()) > LEAST_CHROMA
+    codes = sample[:, 0] << 16 | sample[:, 1] << 8 | sample[:, 2]
     return (alpha or coloured) and len(np.unique(codes)) > MOST_VALUES

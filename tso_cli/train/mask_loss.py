@@ -69,10 +69,10 @@ class _Loss(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, points: Tensor, loss: MaskLoss) -> Tensor:
         clouds = points.detach().reshape(-1, *points.shape[-2:]).cpu().numpy()
-        found = [loss.value_and_gradient(cloud) for cloud in clouds]
-        gradients = np.stack([gradient for _, gradient in found]).reshape(points.shape)
+        both = [loss.value_and_gradient(cloud) for cloud in clouds]
+        gradients = np.stack([gradient for _, gradient in both]).reshape(points.shape)
         ctx.save_for_backward(torch.from_numpy(gradients).to(points))
-        values = torch.tensor([value for value, _ in found], dtype=torch.float64)
+        values = torch.tensor([value for value, _ in both], dtype=torch.float64)
         return values.reshape(points.shape[:-2]).to(points)
 
     @staticmethod

@@ -112,15 +112,15 @@ def each(
             if again:
                 start(again.popleft())
                 continue
-            taken: list[Job] = []
-            while not exhausted and len(taken) < pace.jobs:
+            jobs_of_task: list[Job] = []
+            while not exhausted and len(jobs_of_task) < pace.jobs:
                 job = next(source, None)
                 exhausted = job is None
                 if job is not None:
-                    taken.append(job)
-            if not taken:
+                    jobs_of_task.append(job)
+            if not jobs_of_task:
                 break
-            start(_Task(taken))
+            start(_Task(jobs_of_task))
         if not at_work:
             if not alone or stopping():
                 return

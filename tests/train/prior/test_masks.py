@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from tso_cli.geometry.camera import CANONICAL_ROTATION, Camera
+from tso_cli.geometry.raster import ACROSS
 from tso_cli.io.meshes import Mesh
 from tso_cli.render.rays import RayScene
 from tso_cli.train.prior.masks import (
     HALF_SIDE,
-    SAMPLES_ACROSS,
     SCENE_GRID,
     Border,
     known_window,
@@ -32,12 +32,12 @@ def cast(shape, rotation, closeness, cells):
     distance = 1.0 / closeness if closeness else 5.0
     model = "perspective" if closeness else "orthographic"
     camera = Camera(K, rotation, np.array([0.0, 0.0, distance]), cells, cells, model=model)
-    offsets = (np.arange(SAMPLES_ACROSS) + 0.5) / SAMPLES_ACROSS - 0.5
+    offsets = (np.arange(ACROSS) + 0.5) / ACROSS - 0.5
     places = (np.arange(cells)[:, None] + offsets).ravel()
     mesh = Mesh(shape.vertices.astype(np.float64), shape.faces.astype(np.int64))
     hit = RayScene(mesh).cast(camera, places, places)["hit"]
-    covered = hit.reshape(cells, SAMPLES_ACROSS, cells, SAMPLES_ACROSS).sum((1, 3))
-    return 2 * covered > SAMPLES_ACROSS**2
+    covered = hit.reshape(cells, ACROSS, cells, ACROSS).sum((1, 3))
+    return 2 * covered > ACROSS**2
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

@@ -82,11 +82,11 @@ def _files_named(path: Path, changed: int) -> frozenset[str]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         views, _ = read_partial_cameras(path)
-    found: set[str] = set()
+    files: set[str] = set()
     for view in views:
         for file in filter(None, (view.mask, view.image)):
-            found.update(map(os.path.realpath, _files_of(file)))
-    return frozenset(found)
+            files.update(map(os.path.realpath, _files_of(file)))
+    return frozenset(files)
 
 
 def read_cameras(path: str | Path) -> list[CameraRecord]:
@@ -151,12 +151,12 @@ def named_masks(
 
 def named_images(views: Sequence[PartialCamera | None]) -> list[Path]:
     """The pictures that the views name; none unless each view names one that exists."""
-    found = [
+    existing = [
         next(filter(is_there, _files_of(view.image)), None) if view and view.image else None
         for view in views
     ]
-    images = [image for image in found if image is not None]
-    return images if len(images) == len(found) else []
+    images = [image for image in existing if image is not None]
+    return images if len(images) == len(existing) else []
 
 
 def _with_alpha(image: Path | None) -> Path | None:

@@ -109,8 +109,8 @@ def _named(name: str) -> Any:
 
     plugins = registered(CAMERAS)
     if name not in plugins:
-        known = ", ".join([*FORMATS, *plugins])
-        raise InputError(f"`camera_format` is {name!r}, expected one of {known}")
+        names = ", ".join([*FORMATS, *plugins])
+        raise InputError(f"`camera_format` is {name!r}, expected one of {names}")
     return plugins[name]()
 
 
@@ -151,11 +151,11 @@ def _recognised(source: CameraSource) -> tuple[str, Any]:
 
 def _without_cameras(folder: Path) -> InputError:
     """The error of a folder without a camera file; it may hold a part of a COLMAP model."""
-    found = [name for name in COLMAP_FILES if is_there(folder / name)]
+    parts = [name for name in COLMAP_FILES if is_there(folder / name)]
     for missing in ("cameras", "images"):
-        if found and not any(name.startswith(missing) for name in found):
+        if parts and not any(name.startswith(missing) for name in parts):
             return InputError(
-                f"{folder}: holds {found[0]}, and {missing}.txt or {missing}.bin is missing, "
+                f"{folder}: holds {parts[0]}, and {missing}.txt or {missing}.bin is missing, "
                 "expected a COLMAP model: cameras and images"
             )
     return InputError(

@@ -88,8 +88,8 @@ def _value(element: Any) -> Any:
     if data is not None:
         values: dict[str, Any] = {"data": _numbers(data.text)}
         for key in ("rows", "cols"):
-            found = element.find(key)
-            numbers = [] if found is None else _numbers(found.text)
+            child = element.find(key)
+            numbers = [] if child is None else _numbers(child.text)
             if len(numbers) == 1 and isinstance(numbers[0], float) and numbers[0] % 1 == 0:
                 values[key] = int(numbers[0])
         return values

@@ -35,11 +35,11 @@ def paired(
     masks then differ in number, or if a view names a mask at another place.
     """
     for names in (names_mask, _same_folder_and_stem, _same_stem):
-        found = [[i for i, view in enumerate(views) if names(view, mask)] for mask in masks]
-        if all(len(numbers) == 1 for numbers in found):
-            chosen = [numbers[0] for numbers in found]
-            if len(set(chosen)) == len(masks):
-                return [views[i] for i in chosen], True
+        fitting = [[i for i, view in enumerate(views) if names(view, mask)] for mask in masks]
+        if all(len(numbers) == 1 for numbers in fitting):
+            numbers_of_views = [numbers[0] for numbers in fitting]
+            if len(set(numbers_of_views)) == len(masks):
+                return [views[i] for i in numbers_of_views], True
     if len(views) != len(masks):
         raise _no_order(path, views, masks)
     for number, (view, mask) in enumerate(zip(views, masks, strict=True)):
@@ -61,11 +61,11 @@ def paired(
 
 
 def _no_order(path: Path, views: Sequence[PartialCamera], masks: Sequence[Path]) -> InputError:
-    seen: dict[str, Path] = {}
+    earlier_masks: dict[str, Path] = {}
     for mask in masks:
-        if os.path.realpath(mask) in seen:
+        if os.path.realpath(mask) in earlier_masks:
             return InputError(f"{mask}: is given twice, expected one mask for each view")
-        seen[os.path.realpath(mask)] = mask
+        earlier_masks[os.path.realpath(mask)] = mask
         alike = [view for view in views if _same_stem(view, mask)]
         if len(alike) > 1:
             return _ambiguous(path, mask, alike)

@@ -58,7 +58,7 @@ def read(source: CameraSource) -> list[PartialCamera]:
     array = source.matrix("the array", values, *shapes)
     stack = array[None] if array.ndim == 2 else array
     titles = [""] if array.ndim == 2 else [f"[{i}]" for i in range(len(stack))]
-    return [_unnamed(source, title, one) for title, one in zip(titles, stack, strict=True)]
+    return [_unnamed(source, title, matrix) for title, matrix in zip(titles, stack, strict=True)]
 
 
 def _unnamed(source: CameraSource, title: str, matrix: Array) -> PartialCamera:
@@ -91,12 +91,12 @@ def _named(source: CameraSource, arrays: dict[str, Any]) -> list[PartialCamera]:
     require_no_lens(source, "", arrays)
     if "T" in arrays and "t" not in arrays:
         arrays = _with_t(source, arrays)
-    given = {_key(key): np.asarray(value) for key, value in arrays.items() if _key(key) in NAMES}
+    by_key = {_key(key): np.asarray(value) for key, value in arrays.items() if _key(key) in NAMES}
     # A column t has one dimension more than a vector t, as a stack of vectors has.
-    if "t" in given and given["t"].shape[-1:] == (1,) and given["t"].ndim > 1:
-        given["t"] = given["t"][..., 0]
+    if "t" in by_key and by_key["t"].shape[-1:] == (1,) and by_key["t"].ndim > 1:
+        by_key["t"] = by_key["t"][..., 0]
     stacks = {
-        key: len(value) for key, value in given.items()
+        key: len(value) for key, value in by_key.items()
         if value.ndim == _DIMENSIONS[key] + 1
     }  # fmt: skip
     counts = set(stacks.values()) - {1}
@@ -106,9 +106,9 @@ def _named(source: CameraSource, arrays: dict[str, Any]) -> list[PartialCamera]:
     count = counts.pop() if counts else 1
     for number in range(count):
         values = {}
-        for key, value in given.items():
-            one = value[number if len(value) > 1 else 0] if key in stacks else value
-            values[key] = one if one.ndim else one.item()
+        for key, value in by_key.items():
+            of_view = value[number if len(value) > 1 else 0] if key in stacks else value
+            values[key] = of_view if of_view.ndim else of_view.item()
         where = f"[{number}]." if count > 1 else ""
         K, R, t, size = matrices_of(source, where, values)
         views.append(

@@ -25,10 +25,10 @@ def recognises(source: CameraSource) -> bool:
 
 def read(source: CameraSource) -> list[PartialCamera]:
     views = []
-    stated, found = " ".join(sum(source.words[:1], [])), len(source.words) - 1
-    if stated != str(found):
-        raise source.error("the number of pictures", plain(stated),
-                           f"{found}, as there are lines; the file may end early")  # fmt: skip
+    count, lines = " ".join(sum(source.words[:1], [])), len(source.words) - 1
+    if count != str(lines):
+        raise source.error("the number of pictures", plain(count),
+                           f"{lines}, as there are lines; the file may end early")  # fmt: skip
     for number, words in enumerate(source.words[1:], 1):
         source.place = f"line {number + 1}: "
         numbers = source.matrix("K, R and t", [float(word) for word in words[1:]], (_NUMBERS,))

@@ -30,7 +30,8 @@ def read(source: CameraSource) -> list[PartialCamera]:
     document = source.json
     if document["class_name"] == "PinholeCameraTrajectory":
         return [
-            _view(source, one) for one in source.each(document["parameters"], "parameters[{}].")
+            _view(source, camera)
+            for camera in source.each(document["parameters"], "parameters[{}].")
         ]
     if document["class_name"] == "PinholeCameraIntrinsic":
         document = {"intrinsic": document}

@@ -69,12 +69,14 @@ def _document(source: CameraSource) -> Any:
     if source.looks_like_json:
         return source.json
     documents = [_ros(document) for document in source.markup]
-    calibrations = [one for one in documents if isinstance(one, dict) and _first(one, _K)]
+    calibrations = [
+        document for document in documents if isinstance(document, dict) and _first(document, _K)
+    ]
     if len(documents) < 2 or len(calibrations) < len(documents):
         return documents[0] if len(documents) == 1 else None
     # Messages of a topic of ROS; their headers differ.
     first = documents[0]
-    if any(_first(one, _K) != _first(first, _K) for one in documents):
+    if any(_first(document, _K) != _first(first, _K) for document in documents):
         raise InputError(
             f"{source.path}: holds {len(documents)} messages with different K, expected one camera"
         )
@@ -145,8 +147,8 @@ def _poses(source: CameraSource, values: dict[str, Any]) -> Array | None:
     if turns is None or shifts is None:
         return None
     turn, shift = (
-        _matrix(source, where, found, *_VECTORS).reshape(-1, 3)
-        for where, found in (("rvecs", turns), ("tvecs", shifts))
+        _matrix(source, where, vectors, *_VECTORS).reshape(-1, 3)
+        for where, vectors in (("rvecs", turns), ("tvecs", shifts))
     )
     if len(turn) != len(shift):
         raise source.error("tvecs", f"{len(shift)} vectors", f"{len(turn)}, as rvecs")
@@ -219,16 +221,16 @@ def _kalibr(source: CameraSource, cams: dict[str, dict[str, Any]]) -> list[Parti
     return views
 
 
-def _lens(source: CameraSource, where: str, model: Any, found: Any) -> Distortion | None:
+def _lens(source: CameraSource, where: str, model: Any, coefficients: Any) -> Distortion | None:
     name = _LENSES.get(str(model).casefold())
     if name is None:
         raise InputError(
             f"{source.path}: {where}distortion_model is {shown(model)}, expected one of "
             f"{', '.join(filter(None, _LENSES))}; undistort the pictures"
         )
-    if found is None:
+    if coefficients is None:
         return None
-    values = _matrix(source, f"{where}distortion", found, (-1,), (-1, 1), (1, -1)).ravel()
+    values = _matrix(source, f"{where}distortion", coefficients, (-1,), (-1, 1), (1, -1)).ravel()
     if len(values) > 8 and np.any(values[8:]):
         raise InputError(
             f"{source.path}: {where}distortion has {len(values)} coefficients, expected at most 8; "
@@ -246,8 +248,8 @@ def _matrix(source: CameraSource, where: str, value: Any, *shapes: tuple[int, ..
     rows, columns = value.get("rows"), value.get("cols", value.get("columns"))
     if isinstance(data, list) and isinstance(rows, int) and isinstance(columns, int):
         if rows * columns != len(data):
-            found = f"{len(data)} numbers"
-            raise source.error(f"{where}: data", found, f"rows x cols = {rows} x {columns}")
+            count = f"{len(data)} numbers"
+            raise source.error(f"{where}: data", count, f"rows x cols = {rows} x {columns}")
         if len(data) > 0:
             data = [data[i * columns : (i + 1) * columns] for i in range(rows)]
     return source.matrix(where, data, *shapes)

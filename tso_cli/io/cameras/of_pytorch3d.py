@@ -65,8 +65,8 @@ def _stack(source: CameraSource, values: dict[str, Any], key: str, shape: tuple[
 def _at(source: CameraSource, key: str, stack: Array, number: int, count: int) -> Array:
     if len(stack) not in (1, count):
         raise source.error(f"the length of {key}", str(len(stack)), f"1 or {count}")
-    one: Array = stack[number if len(stack) > 1 else 0]
-    return one
+    entry: Array = stack[number if len(stack) > 1 else 0]
+    return entry
 
 
 def _intrinsics(source: CameraSource, values: dict[str, Any]) -> Array | None:

@@ -55,11 +55,11 @@ def _array(source: CameraSource, key: str, values: Any, *shapes: tuple[int, ...]
 
 def _scale(source: CameraSource, values: Any) -> float:
     sides = _array(source, "scale", values if isinstance(values, list) else [values], (1,), (3,))
-    found = " ".join(f"{side:g}" for side in sides)
+    text = " ".join(f"{side:g}" for side in sides)
     if sides.min() <= 0.0:
-        raise source.error("scale", found, "more than 0")
+        raise source.error("scale", text, "more than 0")
     if sides.max() > MOST_STRETCHED * sides.min():
-        raise source.error("scale", found, "three numbers that differ by at most 5 %")
+        raise source.error("scale", text, "three numbers that differ by at most 5 %")
     return float(sides.mean())
 
 

@@ -71,11 +71,11 @@ def recognises(source: CameraSource) -> bool:
     if not isinstance(document, dict):
         return False
     matrices = {*NAMES, *OTHER_NAMES, "fx"} - {"width", "height"}
-    given = [key for key in document if key in matrices]
+    matrix_keys = [key for key in document if key in matrices]
     # Programs with formats of their own nest objects under some of these names.
-    nested = any(isinstance(document[key], dict) for key in given)
+    nested = any(isinstance(document[key], dict) for key in matrix_keys)
     tables = "frames" in document or "rotation" in document
-    return "views" in document or (bool(given) and not nested and not tables)
+    return "views" in document or (bool(matrix_keys) and not nested and not tables)
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
@@ -106,9 +106,9 @@ def read(source: CameraSource) -> list[PartialCamera]:
     return records
 
 
-def _unknown_keys(path: Path, where: str, view: dict[str, Any], known: Sequence[str]) -> set[str]:
+def _unknown_keys(path: Path, where: str, view: dict[str, Any], names: Sequence[str]) -> set[str]:
     """The keys to ignore; InputError for a key whose meaning is not clear."""
-    unknown = [key for key in view if key not in known and OTHER_NAMES.get(key) not in known]
+    unknown = [key for key in view if key not in names and OTHER_NAMES.get(key) not in names]
     canonical = {key.casefold(): key for key in ("views", *_KNOWN)}
     for key in unknown:
         if key in canonical.values() or key in OTHER_NAMES:
@@ -147,11 +147,11 @@ def _record(source: CameraSource, where: str, view: dict[str, Any]) -> PartialCa
 
 
 def _size(source: CameraSource, where: str, values: dict[str, Any]) -> tuple[int, int] | None:
-    given = [key for key in ("width", "height") if key in values]
-    if not given:
+    sides = [key for key in ("width", "height") if key in values]
+    if not sides:
         return None
-    if len(given) == 1:
-        missing = "height" if given == ["width"] else "width"
+    if len(sides) == 1:
+        missing = "height" if sides == ["width"] else "width"
         raise InputError(f"{source.path}: {where}{missing} is missing, expected {NEEDS}")
     width, height = source.pixels(where, values["width"], values["height"])
     if width * height > PIXEL_LIMIT:

@@ -94,8 +94,8 @@ class CameraSource(Checked):
     def _unique(self, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         values = dict(pairs)
         if len(values) < len(pairs):
-            seen: set[str] = set()
-            twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+            keys: set[str] = set()
+            twice = next(key for key, _ in pairs if key in keys or keys.add(key))  # type: ignore[func-returns-value]
             raise InputError(
                 f"{self.path}: the key {shown(twice)} appears twice in one object, expected once"
             )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...evaluation.footprint import common_window, footprint, in_window
+from ...evaluation.footprint import common_window, in_window
 from ...geometry.arrays import Array, Bits, Box, Floats, Pixels
 from ...geometry.points import evenly
 from ...geometry.view import View
@@ -53,11 +53,11 @@ def _picture(
     mask = _resized(view.mask, box, width, height)
     base = _base(view, photo, mask, box)
     silhouettes = [
-        footprint(points, stage.camera.cropped(box, width, height)) for points, stage in stages
+        solid.silhouette(stage.camera.cropped(box, width, height)) for solid, stage in stages
     ]
     differences = []
-    for points, stage in stages:
-        images = in_window(points, stage, window)
+    for solid, stage in stages:
+        images = in_window(solid, stage, window)
         colours = np.rint(compare(images) * 255.0).astype(np.uint8)
         differences.append({
             "uri": picture_uri(Image.fromarray(colours).quantize(8), photo=False),

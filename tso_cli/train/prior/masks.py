@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from ...geometry.arrays import Array, Bits, Floats
+from ...geometry.raster import ACROSS, mostly_covered
 
 SCENE_GRID = 48  # cells along a side of a map of a scene; the network sees `features.GRID`
 HALF_SIDE = 0.9  # a map shows [-HALF_SIDE, HALF_SIDE]^2, in longest sides of the object
-SAMPLES_ACROSS = 3  # samples across one cell of a mask, 9 in all: no ties at half coverage
 
 
 @dataclass(frozen=True)
@@ -46,45 +45,8 @@ def silhouette(image: NDArray[np.floating], faces: NDArray[np.int32], cells: int
 
     A cell is foreground if more than half of its samples lie in a triangle.
     """
-    across = SAMPLES_ACROSS * cells
-    corners = (image + HALF_SIDE) * (across / (2.0 * HALF_SIDE)) - 0.5
-    marks = _covered(corners.astype(np.float64)[faces], across)
-    # Sums of slices take a tenth of the time of a sum over two axes.
-    hits = np.zeros((cells, cells), np.uint8)
-    for row, column in product(range(SAMPLES_ACROSS), repeat=2):
-        hits += marks[row::SAMPLES_ACROSS, column::SAMPLES_ACROSS]
-    mask: Bits = 2 * hits > SAMPLES_ACROSS**2
-    return mask
-
-
-def _covered(triangles: Array, across: int) -> NDArray[np.uint8]:
-    """1 at those of the samples [across, across] that lie in one of ``triangles`` [F, 3, 2].
-
-    Corners are columns and rows: the sample [r, c] lies at (c, r). A sample on an edge counts.
-    """
-    low, high = triangles[..., 1].min(1), triangles[..., 1].max(1)
-    first = np.ceil(np.maximum(low, 0.0)).astype(np.int64)
-    count = np.maximum(np.floor(np.minimum(high, across - 1.0)).astype(np.int64) - first + 1, 0)
-    # Each triangle once for every row of samples that it crosses.
-    row = np.arange(count.sum()) - np.repeat(count.cumsum() - count - first, count)
-    corners = np.repeat(triangles, count, 0)
-    ends = np.roll(corners, -1, 1)
-    x, y = corners[..., 0], corners[..., 1]
-    dx, dy = ends[..., 0] - x, ends[..., 1] - y
-    at = row[:, None]
-    # An edge along the row has both ends on other edges.
-    crosses = (
-        (dy != 0.0) & (np.minimum(y, ends[..., 1]) <= at) & (at <= np.maximum(y, ends[..., 1]))
-    )
-    crossing = x + (at - y) * dx / np.where(dy == 0.0, 1.0, dy)
-    left = np.ceil(np.where(crosses, crossing, np.inf).min(1)).clip(0, across)
-    right = np.floor(np.where(crosses, crossing, -np.inf).max(1)).clip(-1, across - 1)
-    some = left <= right
-    # The sum along a row over spans that begin and have ended is positive inside one.
-    steps = np.zeros((across, across + 1), np.int64)
-    np.add.at(steps, (row[some], left[some].astype(np.int64)), 1)
-    np.add.at(steps, (row[some], right[some].astype(np.int64) + 1), -1)
-    return (steps.cumsum(1)[:, :-1] > 0).astype(np.uint8)
+    corners = (image + HALF_SIDE) * (ACROSS * cells / (2.0 * HALF_SIDE)) - 0.5
+    return mostly_covered(corners.astype(np.float64)[faces], cells, cells)
 
 
 def signed_distance(mask: Bits, border: Border) -> Floats:

@@ -1,0 +1,56 @@
+"""Triangles drawn on a grid of samples."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arrays import Array, Bits
+
+ACROSS = 3  # samples across a cell: an odd number has no ties at half coverage
+
+
+def covered(triangles: Array, height: int, width: int) -> NDArray[np.uint8]:
+    """1 at those of the samples [height, width] that lie in one of ``triangles`` [F, 3, 2].
+
+    Corners are columns and rows: the sample [r, c] lies at (c, r). A sample on an edge counts.
+    """
+    low, high = triangles[..., 1].min(1), triangles[..., 1].max(1)
+    first = np.ceil(np.maximum(low, 0.0)).astype(np.int64)
+    count = np.maximum(np.floor(np.minimum(high, height - 1.0)).astype(np.int64) - first + 1, 0)
+    # Each triangle once for every row of samples that it crosses.
+    row = np.arange(count.sum()) - np.repeat(count.cumsum() - count - first, count)
+    corners = np.repeat(triangles, count, 0)
+    ends = np.roll(corners, -1, 1)
+    x, y = corners[..., 0], corners[..., 1]
+    dx, dy = ends[..., 0] - x, ends[..., 1] - y
+    at = row[:, None]
+    # An edge along the row has both ends on other edges.
+    crosses = (
+        (dy != 0.0) & (np.minimum(y, ends[..., 1]) <= at) & (at <= np.maximum(y, ends[..., 1]))
+    )
+    crossing = x + (at - y) * dx / np.where(dy == 0.0, 1.0, dy)
+    begin = np.ceil(np.where(crosses, crossing, np.inf).min(1)).clip(0, width)
+    end = np.floor(np.where(crosses, crossing, -np.inf).max(1)).clip(-1, width - 1)
+    crossed = begin <= end
+    # The sum along a row over spans that begin and have ended is positive inside one.
+    size, first_cell = height * (width + 1), row[crossed] * (width + 1)
+    begun = np.bincount(first_cell + begin[crossed].astype(np.int64), minlength=size)
+    ended = np.bincount(first_cell + end[crossed].astype(np.int64) + 1, minlength=size)
+    inside = (begun - ended).reshape(height, width + 1).cumsum(1)[:, :-1] > 0
+    return inside.astype(np.uint8)
+
+
+def mostly_covered(triangles: Array, height: int, width: int, across: int = ACROSS) -> Bits:
+    """The cells [height, width] that lie by more than half in ``triangles`` [F, 3, 2].
+
+    A cell has ``across`` times ``across`` samples. Corners are columns and rows of samples, as in
+    `covered`.
+    """
+    marks = covered(triangles, across * height, across * width)
+    # Sums of slices take a tenth of the time of a sum over two axes.
+    hits = np.zeros((height, width), np.uint8)
+    for number in range(across * across):
+        hits += marks[number // across :: across, number % across :: across]
+    mask: Bits = 2 * hits > across * across
+    return mask
