@@ -70,12 +70,20 @@ def legend_beside(axis: Any) -> None:
 
 def bars(panels: Callable[[Any], Rows], log: bool = False) -> Draw:
     """What draws the bars of a record's ``panels``."""
-    return lambda path, record, overwrite=False: draw_bars(path, panels(record), overwrite, log)
+
+    def draw(path: Path, record: Any, overwrite: bool = False) -> None:
+        draw_bars(path, panels(record), overwrite, log)
+
+    return draw
 
 
 def ratios(grid: Callable[[Any], Sequence[Sequence[Panel]]]) -> Draw:
     """What draws the ratios of a record's ``grid`` of panels."""
-    return lambda path, record, overwrite=False: draw_ratios(path, grid(record), overwrite)
+
+    def draw(path: Path, record: Any, overwrite: bool = False) -> None:
+        draw_ratios(path, grid(record), overwrite)
+
+    return draw
 
 
 def digits(value: float) -> str:

@@ -115,7 +115,7 @@ def commands(seed: int) -> Races:
     A first run finds no byte code. Raises TsoError if a command fails,
     InputError if the shipped examples are missing.
     """
-    plain = {"python": ("-c", "pass")}
+    plain: dict[str, tuple[str, ...]] = {"python": ("-c", "pass")}
     plain |= {f"tso {flag}": (*TSO, flag) for flag in ("--version", "--help")}
     contestants = [IMPORT_TORCH]
     contestants += [Contestant(name, process(name, words)) for name, words in plain.items()]

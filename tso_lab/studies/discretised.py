@@ -74,10 +74,12 @@ def depth_loss(points: Tensor, batch: Batch) -> Tensor:
     so that it compares with the other losses.
     """
     height, width = batch.masks.shape[-2:]
-    losses, like = [], {"dtype": points.dtype, "device": points.device}
+    losses = []
     for b, cloud in enumerate(points):
-        K, R, t = (torch.as_tensor(values[b], **like) for values in (batch.K, batch.R, batch.t))
-        target = torch.as_tensor(batch.targets[b], **like)
+        K, R, t, target = (
+            torch.as_tensor(values[b]).to(points)
+            for values in (batch.K, batch.R, batch.t, batch.targets)
+        )
         cameras = CameraBatch(K, R, t, width, height)
         depth, hit = depth_map(cloud, cameras)
         true, true_hit = depth_map(target, cameras)

@@ -191,7 +191,6 @@ def trained(
         panels = rows(record).items()
         return [crossed(cells, title, note=note, decimals=2) for title, cells in panels]
 
-    usual = {"usual_steps": steps, "usual_categories": categories}
     return Study(
         name=name,
         about=about,
@@ -201,7 +200,13 @@ def trained(
         reading=reading,
         convention={**CONVENTION, **(notes or {})},
         options=OPTIONS,
-        plan=partial(plan, networks=networks, measure=measure, **usual),
+        plan=partial(
+            plan,
+            networks=networks,
+            measure=measure,
+            usual_steps=steps,
+            usual_categories=categories,
+        ),
         conclude=conclude,
     )
 
@@ -578,8 +583,8 @@ def conclude_failures(cases: Cases) -> Record:
         name = case["setting"]
         category, key = (CAR, "cars") if name in (ONE, FOUR) else (PLANE, "aeroplanes")
         # What could not be measured is null in a record.
-        measured = {key: float("nan") if size is None else size for key, size in case[key].items()}
-        summary[name] = {**measured, "chamfer": values[name][category]}
+        sizes = {key: float("nan") if size is None else size for key, size in case[key].items()}
+        summary[name] = {**sizes, "chamfer": values[name][category]}
     pairs = {"trained with other categories": (SHARED, OWN), "trained alone": (ALONE_WIDE, ALONE)}
     for where, (wide, narrow) in pairs.items():
         if wide in summary:
