@@ -14,8 +14,8 @@ from PIL import Image
 from tso_cli.errors import InputError
 from tso_cli.refinement import RefineConfig
 from tso_lab import options
+from tso_lab.bench.pareto import DEFAULT, PAPER, WAYS
 from tso_lab.bench.peers import PEERS
-from tso_lab.bench.ways import DEFAULT, PAPER, WAYS
 from tso_lab.commands import tools
 from tso_lab.harm.troubles import TROUBLE
 from tso_lab.options import option

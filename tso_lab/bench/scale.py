@@ -34,7 +34,7 @@ from .. import options
 from ..charts import Rows, bars
 from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
-from .speed import machine
+from .timing import machine
 
 CLOUDS = 300  # different bent clouds; items beyond use them again
 BEND = 0.06  # of a cloud's longest side

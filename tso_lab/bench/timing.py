@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import platform
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,8 @@ Sample = Callable[[], float]
 """Does the work once, and returns the seconds that it took."""
 BLOCK = 2e-3
 """Seconds for which quick work is repeated; single calls would measure cold caches."""
-MOST_RUNS, LEAST_RUNS = 200, 3
-FAR_OVER = 30.0
-"""Work that takes this many times the budget is done once."""
+MOST_RUNS, FAR_OVER = 200, 30.0
+"""Of a contestant; work that takes this many times the budget is done once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +51,12 @@ class Setting:
     budget: float = 0.5
     seed: int = 0
     report: Report = lambda what, done, total: None
-    least_runs: int = LEAST_RUNS
+    least_runs: int = 3
 
     def race(self, what: str, contestants: Sequence[Contestant], ratio: str) -> Cases:
         """A record of each contestant, timed by turns after a warm-up.
 
-        Its field ``ratio`` is its time over the first contestant's. Each gets the budget, in 3 to
-        200 blocks; work that lasts thirty times the budget is done once.
+        Its field ``ratio`` is its time over the first contestant's.
         """
         for number, contestant in enumerate(contestants, 1):
             if contestant.warm_up:
@@ -108,15 +107,26 @@ def timed(work: Callable[[], object], clock: Callable[[], float] = time.perf_cou
     return sample
 
 
+def machine() -> dict[str, Any]:
+    """Where times are taken."""
+    names = proc_values("/proc/cpuinfo", "model name")
+    cpu = next(names, platform.processor() or platform.machine())
+    return {"cpu": cpu, "cores": os.cpu_count(), "platform": platform.platform(terse=True)}
+
+
+def proc_values(path: str, key: str) -> Iterator[str]:
+    """What a file of Linux says of ``key``; nothing on other systems."""
+    lines = Path(path).read_text().splitlines() if Path(path).exists() else []
+    return (line.partition(":")[2].strip() for line in lines if line.startswith(key))
+
+
 def peak_memory() -> int | None:
     """Most MiB that this process took, as Linux counts them; None on other systems.
 
     The count of `resource` begins with the peak of the process that started this one.
     """
-    status = Path("/proc/self/status")
-    lines = status.read_text().splitlines() if status.exists() else []
-    peaks = (line.split()[1] for line in lines if line.startswith("VmHWM:"))
-    return next((round(int(kilobytes) / 1024.0) for kilobytes in peaks), None)
+    peaks = proc_values("/proc/self/status", "VmHWM")
+    return next((round(int(text.split()[0]) / 1024.0) for text in peaks), None)
 
 
 def as_installed(folder: Path) -> dict[str, str]:
@@ -153,7 +163,3 @@ def process(
         return elapsed
 
     return sample
-
-
-IMPORT_TORCH = Contestant("import torch", process("import torch", ("-c", "import torch")))
-"""What times are compared with: the first thing that a program with torch does."""
