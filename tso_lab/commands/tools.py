@@ -57,12 +57,12 @@ def records(
 
     output.mkdir(parents=True, exist_ok=True)
     due = all_due(output, names)
-    given = {"--meshes": meshes, "--unseen": unseen, "--photos": photos}
-    needs(due, given)
-    failed = make(due, output, given, jobs or cores())
-    for one in due:
-        if one.kept.name not in failed:
-            click.echo(output / f"{one.kept.name}.json")
+    folders = {"--meshes": meshes, "--unseen": unseen, "--photos": photos}
+    needs(due, folders)
+    failed = make(due, output, folders, jobs or cores())
+    for record in due:
+        if record.kept.name not in failed:
+            click.echo(output / f"{record.kept.name}.json")
     if failed:
         raise TsoError(f"{len(failed)} of {len(due)} records were not made: {', '.join(failed)}")
 

@@ -18,7 +18,7 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.geometry.view import View, object_box
 
-from ..studies.evidence_alterations import exact_depth
+from ..studies.evidence import exact_depth
 from .scenes import STARTS, Bits, Rng, Scene
 
 Alter = Callable[[Scene, float, Rng], Scene]

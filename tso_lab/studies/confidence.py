@@ -19,8 +19,8 @@ from tso_cli.refinement import RefineConfig, refine
 
 from .. import options
 from ..charts import draw_bars
-from ..harm.runs import BETTER, VIEWS, WORSE, altered, distance
 from ..harm.scenes import Gallery, Scene, gallery
+from ..harm.study import BETTER, VIEWS, WORSE, altered, distance
 from ..harm.troubles import TROUBLES, Trouble
 from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim, uninterrupted

@@ -17,7 +17,7 @@ from .. import options
 from ..charts import Rows, bars
 from ..study import Cases, Plan, Progress, Record, Study, Table, by_shape, claim, uninterrupted
 from .cases import MASKS, Case, CaseBuilder
-from .evidence_alterations import Truth, with_depth
+from .evidence import Truth, with_depth
 from .shapes import Shape, shapes_of_part
 from .summary import grouped, mean, rounded
 

@@ -24,7 +24,6 @@ from .. import options
 from ..charts import Rows, bars
 from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed, uninterrupted
-from .discretised import DEPTH, PLAIN, projected_objective
 from .material import (
     ALL,
     CONVENTION,
@@ -37,7 +36,7 @@ from .material import (
     distances,
     predict,
 )
-from .paper_measures import outlier_shares, sizes
+from .paper_measures import DEPTH, PLAIN, outlier_shares, projected_objective, sizes
 from .shapes import SPLIT
 
 CATEGORIES = PLANE, CAR, CHAIR = "airplane", "car", "chair"

@@ -32,7 +32,7 @@ class Variant:
 PAPER: Final = "paper"
 DEFAULT: Final = "best"
 NO_SYMMETRY, TWO_MASKS, FOUR_MASKS = "best, no symmetry", "best, two masks", "best, four masks"
-MASKS = (DEFAULT, TWO_MASKS, FOUR_MASKS)
+BY_MASKS = (DEFAULT, TWO_MASKS, FOUR_MASKS)
 """The default preset with one, two and four masks."""
 # The paper's method leaves nothing as it was.
 POINTS = {
