@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -17,7 +17,7 @@ from tso_cli.option import Declared
 from tso_cli.plots.table import Cell, text_table
 from tso_cli.version import __version__
 
-from .studies import QUESTIONS
+from .studies import WORDS
 
 if TYPE_CHECKING:
     from .studies.shapes import Shape
@@ -111,27 +111,38 @@ class Plan:
 class Study:
     """A question to the method.
 
-    ``plan`` says what to do for ``options``; ``conclude`` says what all cases together mean.
-    ``about`` is the help of the command, below the question. ``parts`` are the parts of the method
-    whose `fingerprint` the record keeps. ``tables`` and ``draw`` (path, record, overwrite) show a
-    record; ``reading`` says on its page how to read it.
+    Its words are in `studies/words.toml`; ``values`` are those that the words name in braces, and
+    ``more_convention`` is added to theirs. ``plan`` says what to do for ``options``; ``conclude``
+    says what all cases together mean. ``parts`` are the parts of the method whose `fingerprint`
+    the record keeps. ``tables`` and ``draw`` (path, record, overwrite) show a record.
     """
 
     name: str
-    about: str = ""
+    values: Record = field(default_factory=dict)
+    more_convention: Record = field(default_factory=dict)
     parts: tuple[str, ...]
     tables: Callable[[Record], list[Table]]
     draw: Draw
-    reading: str
-    convention: Record
     options: tuple[Declared, ...]
     plan: Callable[..., Plan]
     conclude: Callable[[Cases], Record]
 
     @property
     def question(self) -> str:
-        text = QUESTIONS[self.name][1].removeprefix("Paper: ")
+        text: str = WORDS[self.name]["question"].removeprefix("Paper: ")
         return text[0].upper() + text[1:]
+
+    @property
+    def about(self) -> str:
+        """The help of the command, below the question."""
+        text: str = WORDS[self.name]["about"]
+        return text.format_map(self.values) if self.values else text
+
+    @property
+    def convention(self) -> Record:
+        """What the figures of the record mean."""
+        texts = WORDS[self.name]["convention"].items()
+        return {key: text.format_map(self.values) for key, text in texts} | self.more_convention
 
     @property
     def command(self) -> str:
@@ -247,7 +258,7 @@ def page(study: Study, record: Record, file_name: str, more_charts: Sequence[str
     parts = [
         f"# {study.question}",
         f"    {record.get('command', study.command)} -o {file_name}",
-        study.reading,
+        WORDS[study.name]["reading"],
         f"![{study.question}]({file_name.removesuffix('.json')}.png)",
         *(f"![{name}]({name})" for name in more_charts),
         *(table.markdown() for table in study.tables(record)),

@@ -102,20 +102,6 @@ WAYS: dict[str, Way] = {
 """What is compared; one line more is one point more on the chart."""
 
 
-CONVENTION = {
-    "ratio": "Chamfer distance after / before, mean of the cases' ratios; squared distances, mean "
-    "over points, both directions added, longest side 1, to as many target points",
-    "standard error": "of the mean over shapes",
-    "seconds": "one call alone, after a warm-up, one thread (as for many objects "
-    "in a process), without files; median over the cases",
-    "front": "a way with one mask is on it if no other takes no longer and comes as near",
-    "published": "the paper's figures, 3 to 6 % nearer in about a second, on its authors' data and "
-    "machine",
-    "plain settings": "1,024 points, one mask of 64x64 (of predictions the 64x64 crop that the "
-    "network sees)",
-}
-
-
 def plan(
     progress: Progress,
     *,
@@ -396,8 +382,6 @@ def _label(axis: Any, group: Record, others: bool) -> None:
 
 STUDY = Study(
     name="pareto",
-    about="Every mode and preset, swept over steps, points, pixels and masks, and other "
-    "ways to compare points with a mask.",
     parts=(
         "pictures",
         "points, paper",
@@ -407,11 +391,6 @@ STUDY = Study(
     ),
     tables=tables,
     draw=draw,
-    reading="Down is nearer to the truth, left is quicker: a point above and to the right of "
-    "another one is not worth its time. The front is of ways that see one mask: further masks are "
-    "not a setting but more input; they bring more than any setting. Modes of the network start "
-    "from its prediction, so the two panels are not to be mixed.",
-    convention=CONVENTION,
     options=options.COMMON,
     plan=plan,
     conclude=conclude,

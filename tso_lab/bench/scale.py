@@ -391,21 +391,9 @@ def panels(record: Record) -> Rows:
 
 STUDY = Study(
     name="scale",
-    about="Takes over an hour for 20,000 items on two cores. Linux only: it reads /proc.",
     parts=("points, best",),
     tables=tables,
     draw=bars(panels),
-    reading="A batch is done in processes that stay; a shell loop starts tso for each item. The "
-    "long batch is left in peace for half of its items, then killed at random moments.",
-    convention={
-        "items": "clouds of 1,024 points, the shipped starts bent at random, one mask of 256x256 "
-        "each",
-        "shell loop": "`tso refine` once for each item, one after the other",
-        "kills": "SIGKILL, SIGTERM or SIGINT to the batch, SIGKILL to processes of it, or both, at "
-        "random moments; then the same command again",
-        "memory": "resident, of the batch and all its processes together, shared pages counted in "
-        "each",
-    },
     options=(
         option("--items", "Items of the long batch.", int, 20_000, least=50),
         option("--kills", "How often it is killed.", int, 100, least=0),

@@ -570,30 +570,9 @@ def panels(record: Record) -> Rows:
 
 STUDY = Study(
     name="speed",
-    about="command: whole processes; large: of large files; object: `refine` with one to four "
-    "views, and on all cores; batch: many objects in one call, on one core and on all; silhouette, "
-    "chamfer: the losses. Contestants for the same work take turns on the CPU; all of it takes "
-    "about ten minutes.",
     parts=("points, paper", "points, best"),
     tables=tables,
     draw=bars(panels, log=True),
-    reading="Contestants for the same work take turns in one process. Trust ratios before times: "
-    "two runs on a shared machine differ by up to half.",
-    convention={
-        "seconds": "wall clock; median and quartiles (low, high) of the runs, contestants of a "
-        "part by turns in one process; one thread unless stated",
-        "command": "whole processes; a first run finds no byte code of tso",
-        "large": "whole processes, steady; a scan of points with a mask of 4000x3000, Gaussian "
-        "splats, a mesh with many faces",
-        "object": "`refine` in process, one chair, masks of 256x256; after the first call",
-        "batch": "seconds of a call over the objects in it",
-        "busy neighbour": "for each core a process that spins",
-        "silhouette": "from projected points to the gradient by them of sums and cross-entropy, "
-        "one picture, sigma^2 0.4 px^2; tso in float64, otherwise float32; the scatter lacks the "
-        "term for mask pixels that no window reaches",
-        "chamfer": "one step, value and gradient, mean over points after 10, 30 and 50 steps of "
-        "the preset paper",
-    },
     options=(
         option(
             "--only",

@@ -13,7 +13,7 @@ from tso_cli.io.reading import shown
 from tso_cli.workers.pool import cores
 
 from .. import options as lab_options
-from ..studies import QUESTIONS
+from ..studies import WORDS
 from ..study import Study, answer, undamaged
 from .records import read_record, write_page, write_record
 
@@ -22,7 +22,7 @@ records_argument = click.argument("records", nargs=-1, required=True, type=optio
 
 def load(name: str) -> Study:
     """The study of that name."""
-    module, attribute = QUESTIONS[name][0].rsplit(".", 1)
+    module, attribute = WORDS[name]["study"].rsplit(".", 1)
     study: Study = getattr(import_module(f"tso_lab.{module}"), attribute)
     return study
 
@@ -77,8 +77,8 @@ def page(records: tuple[Path, ...]) -> None:
     for path in records:
         record = read_record(path)
         name = record.get("study")
-        if name not in QUESTIONS:
-            names = ", ".join(QUESTIONS)
+        if name not in WORDS:
+            names = ", ".join(WORDS)
             raise InputError(f"{path}: is of the study {shown(name)}, expected one of {names}")
         if not record.get("complete", True):
             expected = "expected a finished record (--resume finishes it)"

@@ -154,19 +154,6 @@ SEGMENTS = {
 ROW_HEIGHT = 0.13
 """Inches."""
 SCENES, QUICK_SCENES = 12, 2
-CONVENTION = {
-    "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + "
-    "backward, longest side 1, of the object's own points to 16,384 true ones; mean of the runs "
-    "that came to an end; before: the start as it was given, of exact starts what sampling leaves",
-    "starts": "exact: another sampling of the truth in its place; other: another shape of the "
-    "category, or, of a shape in no list, the truth stretched, sheared and bent",
-    "silently worse": f"ratio over {WORSE}, and neither a doubtful verdict nor a suspicious "
-    "finding",
-    "worse, said": f"ratio over {WORSE}, and one of these, or the input was refused",
-    "gain withheld": "the result was too doubtful to be taken, and with accept_doubtful its ratio "
-    f"is under {BETTER}",
-    **{trouble.name: f"the user {trouble.did}" for trouble in TROUBLES[1:]},
-}
 
 
 def plan(
@@ -328,16 +315,11 @@ def _draw_bar(axis: Any, place: float, row: Record | None) -> None:
 
 STUDY = Study(
     name="harm",
-    about="Troubles of the field (an arm in the mask, a guessed focal length, a floor in the "
-    "cloud) in three strengths, with a start that is right and one of another shape; --quick "
-    "takes shipped examples.",
+    values={"WORSE": WORSE, "BETTER": BETTER},
+    more_convention={trouble.name: f"the user {trouble.did}" for trouble in TROUBLES[1:]},
     parts=("pictures", "points, paper", "points, best"),
     tables=tables,
     draw=draw,
-    reading="Each trouble is what a user did. An exact start should stay as it is, and another "
-    "shape should come nearer to the truth, or stay. Red is harm without a word; the pale rest of "
-    "a bar is what hardly changed.",
-    convention=CONVENTION,
     options=(
         option("--quick", "Shipped examples.", bool, False),
         options.meshes(required=False),

@@ -54,16 +54,6 @@ SIZE, COUNT = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
 CASES_A_CALL = 32
 F_THRESHOLD = 0.02
-CONVENTION = {
-    "chamfer": "squared distances, mean over points, forward + backward, longest side 1; to as "
-    "many target points",
-    "f_score": f"share of points with a counterpart nearer than {F_THRESHOLD}, harmonic mean of "
-    "both directions, 16,384 target points",
-    "iou": IOU_MEANS,
-    "floor": "Chamfer distance of another sampling of the true surface",
-    "bound": "Chamfer distance left by the best smooth deformation across the first view, fitted "
-    "to the truth by a local search",
-}
 
 
 def plan(
@@ -401,20 +391,10 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="accuracy",
-    about="Kinds of start: another shape's cloud, about as wrong as a trained network's (other); "
-    "the same, where clouds and cameras are turned together at random (turned); another shape's "
-    "close to the truth (near); the first with an object that the border truncates (cut); the "
-    "truth sampled again (right); the network's prediction (network); with --unseen the warped "
-    "truth of shapes of kinds in no list (unseen).",
+    values={"F_THRESHOLD": F_THRESHOLD, "IOU_MEANS": IOU_MEANS},
     parts=("pictures", "points, paper", "points, best", "network modes, paper"),
     tables=tables,
     draw=draw,
-    reading="Two questions: how much of the error does a refinement remove, and how often does it "
-    "add some? One mask says nothing of depth; a mirror plane and further masks do. Two samplings "
-    "of one surface differ too: no ratio can fall below this floor. The bound is what is left by a "
-    "smooth deformation across the view that knows the truth. Starts that are right already "
-    "show what a refinement costs where nothing is left to gain.",
-    convention=CONVENTION,
     options=(
         *options.COMMON,
         options.part("test"),

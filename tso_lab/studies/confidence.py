@@ -48,21 +48,6 @@ REFUSED = {"ratio": 1.0, "confidence": 0.0, "moved": False, "finding": True, "fl
 REFUSED |= {"left": True, "iou_gain": 0.0}
 """What is refused stays as it was."""
 LEAST_AUC, MOST_WITHHELD = 0.85, 0.005
-CONVENTION = {
-    "worse": f"Chamfer distance of the object's own points to the truth over {WORSE} times the "
-    f"distance before; better: under {BETTER} times",
-    "right scenes": "nothing is wrong, or only depth maps are added, which are right; the start is "
-    "another shape; in one, two or four masks",
-    "in trouble": "something is wrong, as in the study of harm, or the start is exact",
-    "moved": "the shape moved, also where it would be left as it was: --accept-doubtful",
-    "AUC": "of those that moved: the chance that a worse result has less confidence than one that "
-    "is not worse",
-    "flagged": "doubtful, for low confidence or because of a finding",
-    "silent": "worse, and not flagged",
-    "withheld": "better, and left as it was",
-    "log ratio": f"mean logarithm of after / before, {RIGHT_SHARE:.0%} of it of right scenes; what "
-    "is left or refused is as it was",
-}
 
 
 def is_right(row: Record) -> bool:
@@ -348,16 +333,16 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="confidence",
-    about="Scenes of the study of harm: half of them right, half in trouble, refined with the "
-    f"default. A result with a confidence under {LEAST_CONFIDENCE:g} is doubtful, and then moves "
-    f"by at most {MOST_OF_DOUBTFUL:.0%} of its size. The confidence was fitted to training shapes "
-    "(--fit).",
+    values={
+        "WORSE": WORSE,
+        "BETTER": BETTER,
+        "RIGHT_SHARE": RIGHT_SHARE,
+        "LEAST_CONFIDENCE": LEAST_CONFIDENCE,
+        "MOST_OF_DOUBTFUL": MOST_OF_DOUBTFUL,
+    },
     parts=("points, best",),
     tables=tables,
     draw=draw,
-    reading="A rising IoU says little. A cloud that is out of place and a camera that is out of "
-    "place give the same picture, so no feature can separate them.",
-    convention=CONVENTION,
     options=(
         options.MESHES,
         options.SPLIT,

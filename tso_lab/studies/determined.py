@@ -25,16 +25,6 @@ CATEGORIES = ("chair", "airplane", "car")
 SIZE = 64
 """Of the masks, px."""
 MASK_COUNTS = (1, 2, 4, 8)
-CONVENTION = {
-    "determined": "mean confidence of the control points",
-    "rank correlation": "Spearman's, of the confidence of a point and its distance to the true "
-    "surface, or the part of the distance along the first camera's axis or across it; negative is "
-    "right; mean over shapes",
-    "error of a quarter": "mean distance to the true surface x100 of the quarter of points with "
-    "the lowest or highest confidence, longest side 1",
-    "after / before": "Chamfer distance to the truth of the result over that of the start; mean "
-    "over shapes",
-}
 
 
 def plan(
@@ -124,14 +114,9 @@ def panels(record: Record) -> Rows:
 
 STUDY = Study(
     name="determined",
-    about="Another shape of the category is refined by 1 to 8 masks and by a mask with its depth "
-    "map.",
     parts=("pictures", "points, best"),
     tables=tables,
     draw=bars(panels),
-    reading="`determined` says how much of the shape the evidence fixes. It should rise where the "
-    "error falls. Points of high confidence should lie nearer to the true surface than others.",
-    convention=CONVENTION,
     options=(*options.COMMON, options.part("test"), options.categories(*CATEGORIES)),
     plan=plan,
     conclude=conclude,

@@ -222,14 +222,6 @@ def _lying(truth: Truth) -> RayScene:
 SIZE, POINTS = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
 PLANES, NAMED, IGNORED = "no mirror plane", "named", "ignored"
-CONVENTION = {
-    "ratio": "Chamfer distance after / before, mean of the cases' ratios; squared distances, mean "
-    "over points, forward + backward, longest side 1, to as many target points; worse: cases with "
-    "a ratio over 1",
-    PLANES: "share of the cases whose refinement used none",
-    NAMED: "share of the cases in which it was said what the depth map holds",
-    IGNORED: "share of the cases in which the depth map was left out",
-}
 FIGURES = {"cases": "cases", "mean_ratio": "ratio", "worst_ratio": "worst", "worse": "worse"}
 ALL = "all"
 Rows = dict[str, tuple[Alter, Variant]]
@@ -411,16 +403,9 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="evidence",
-    about="Depth maps (depth), objects that lack a part (missing), and depth maps that hold "
-    "something else than depth (maps).",
     parts=("pictures", "points, best"),
     tables=tables,
     draw=draw,
-    reading="Each question alters cases in one way and compares rows that see the same random "
-    "numbers. Right evidence helps: more masks, and depth. Where an object lacks a part that its "
-    "start has, a mirror plane gains less, and does harm to few. A depth map that holds something "
-    "else is mostly named or left out; a map of another picture often is not.",
-    convention=CONVENTION,
     options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
     conclude=conclude,

@@ -38,12 +38,6 @@ WORSE = 1.05
 """Times the start: a result counts as worse."""
 MOST_SCALING = 0.15
 """Of the logarithm: how far a cloud is scaled about its camera before it is compared."""
-CONVENTION = {
-    "before, after, floor": "Chamfer distance to the truth x1000, longest side 1, after the best "
-    "scaling about the camera, which one mask does not determine; the floor is that of the cloud "
-    "before it is turned",
-    "bent": "mean displacement of a control point after the move as one, in longest sides",
-}
 
 
 def plan(
@@ -183,15 +177,9 @@ def panels(record: Record) -> Rows:
 
 STUDY = Study(
     name="moves",
-    about="Clouds of the right shape (right), of a shape near it, and of another shape, turned, "
-    "shifted and scaled, and refined by one mask in each way of `--move`.",
     parts=("pictures", "points, best", "camera fit"),
     tables=tables,
     draw=bars(panels),
-    reading="A cloud of the right shape in a wrong place is brought back exactly when it may move "
-    "as one, and is bent when it may not. A cloud of a wrong shape in the right place is best left "
-    "there, and its shape refined. The default has to tell the two apart.",
-    convention=CONVENTION,
     options=(
         *options.COMMON,
         options.part("test"),

@@ -162,17 +162,9 @@ def panels(record: Record) -> Rows:
 
 STUDY = Study(
     name="network",
-    about="Chamfer to the truth, compared with the mean and the nearest training shape.",
     parts=("pictures", "network modes, paper"),
     tables=tables,
     draw=bars(panels),
-    reading="A network that ignored the picture could do no better than the mean shape in its own "
-    "frame. The nearest training shape is the best that retrieval could do if it knew the answer: "
-    "a network that comes close to it has learnt more than to remember.",
-    convention={
-        "Chamfer": "squared distances, mean over points, forward + backward; targets of longest "
-        "side 1, in the view's frame"
-    },
     options=(
         options.MESHES,
         options.SPLIT,

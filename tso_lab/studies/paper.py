@@ -26,7 +26,7 @@ from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim, crossed, uninterrupted
 from .material import (
     ALL,
-    CONVENTION,
+    CHAMFER,
     FRAME,
     INPUT_VIEWS,
     MEAN_SHAPE,
@@ -165,10 +165,7 @@ def trained(
     categories: tuple[str, ...],
     conclude: Callable[[Cases], Record],
     rows: Callable[[Record], Rows],
-    about: str,
-    reading: str,
     measure: Callable[[list[Predicted], TrainingData], Record] = lambda predicted, data: {},
-    notes: Mapping[str, str] | None = None,
 ) -> Study:
     """The study of ``networks``, by default of ``categories`` and with so many ``steps``.
 
@@ -192,12 +189,10 @@ def trained(
 
     return Study(
         name=name,
-        about=about,
+        values={"CHAMFER": CHAMFER},
         parts=("pictures", "training"),
         tables=tables,
         draw=bars(rows),
-        reading=reading,
-        convention={**CONVENTION, **(notes or {})},
         options=OPTIONS,
         plan=partial(
             plan,
@@ -322,21 +317,6 @@ SUPERVISION = trained(
     CATEGORIES,
     conclude_supervision,
     supervision_rows,
-    about="For each category a network of each kind, and two networks for all categories, are "
-    "trained on the list train of the split and compared on unseen shapes; so is the mean training "
-    "shape. Reduced size: 1,000 steps of 8, 32 shapes of a category.",
-    reading="A network that is nearer than the mean training shape has learnt from pictures. "
-    "Rounded points have no gradient across the picture, so those networks learn from the affinity "
-    "loss alone; they are level with the continuous projection, so here the affinity loss does the "
-    "work. We have dozens of shapes to learn from, the paper thousands: no number here says what "
-    "the methods do with the paper's data. One seed each; the same training comes out up to 5 % "
-    "away.",
-    notes={
-        DISCRETISED: "points rounded to pixels in place of the Gaussians: BCE has no gradient, "
-        "only the affinity loss moves points",
-        LIN: "the same with the L1 loss of depth maps, upsampled by 5, of the supervising views; "
-        "no pretraining, one network",
-    },
 )
 
 
@@ -422,12 +402,6 @@ VIEWS = trained(
     (CAR,),
     conclude_views,
     views_rows,
-    about="Networks trained with 1, 2, 3, 4, 5, 6 and 8 masks of each object a step. For 1 and for "
-    "2 masks there are three networks, which differ in their seed alone. Reduced size: cars alone, "
-    "2,000 steps of 8.",
-    reading="In the paper the second mask of each object gains a lot, and further masks gain "
-    "nothing. Here the second gains nothing either. With one mask a step, each step sees another "
-    "mask, so that over the training every object is seen from all 24 sides: that may be why.",
 )
 
 
@@ -486,11 +460,6 @@ AFFINITY = trained(
     CATEGORIES,
     conclude_affinity,
     affinity_rows,
-    about="Networks trained without the loss and with each of its forms. An outlier is a point "
-    "that falls more than a pixel outside the mask, in views of unseen shapes that the network was "
-    "not given. Reduced size: 500 steps of 8, 32 shapes of a category.",
-    reading="With the affinity loss, in either form, fewer points lie outside the masks of views "
-    "that the network was not given, and the clouds are nearer to the truth, in every category.",
     measure=outlier_shares,
 )
 
@@ -546,13 +515,6 @@ LAMBDA = trained(
     (CHAIR,),
     conclude_lambda,
     lambda_rows,
-    about="Networks trained with weights from 0 to 5, in both forms of the loss. Reduced size: "
-    "chairs, 500 steps of 8.",
-    reading="The supplement's 0.5, 1 and 5 are scaled by 1e4. The authors' code has 1e-4, but for "
-    "another term than Eq. 5. For Eq. 5 that is far too little, in either form. The form 'points' "
-    "at 1, the default of `tso train`, is never far from the best; the printed form breaks down at "
-    "1, where its second term rewards parts of the mask that no point covers. A difference of less "
-    "than a tenth is noise here.",
 )
 
 
@@ -637,12 +599,5 @@ FAILURES = trained(
     CATEGORIES,
     conclude_failures,
     failures_rows,
-    about="Sizes of unseen aeroplanes over the true ones (body between nose and wing, span, "
-    "length; medians), and squared errors of unseen cars along and across the line of sight. "
-    "Reduced size: 900 steps of 8, 32 shapes of a category.",
-    reading="Alone, aeroplanes have too narrow a body and too short wings under sigma^2 = 0.4, and "
-    "less so under 0.1, as the paper says. Trained with the others, the wings are short under 0.4. "
-    "Cars show no deformation in depth; with one mask a step each step sees another mask, which "
-    "may be why.",
     measure=sizes,
 )

@@ -127,19 +127,9 @@ def panels(record: Record) -> Rows:
 
 STUDY = Study(
     name="pose",
-    about="`tso refine --camera fit` on the true cloud, and on other shapes' clouds.",
     parts=("pictures", "camera fit"),
     tables=tables,
     draw=bars(panels),
-    reading="A true cloud and its mask determine the rotation to about a degree. A cloud of "
-    "another shape does not: an object and its mirror image turned round in depth cast nearly the "
-    "same silhouette, so the right pose is often among the alternatives. The focal length is less "
-    "certain, and a range of focal lengths fits as well.",
-    convention={
-        "degrees": "angle between the fitted rotation and the true one",
-        "answers": "smallest angle of the fitted pose and its alternatives",
-        "focal": "the shortest and the longest focal length that fit as well, over the true one",
-    },
     options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
     conclude=conclude,

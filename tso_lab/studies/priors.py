@@ -53,16 +53,6 @@ JUDGED_SCENES, JUDGED_BATCHES, JUDGED_SEED = 400, 60, 1000
 WORSE = 1.05
 BINS = 10
 CLEAN, MARRED_MASK, WITH_DEPTH, TWO = "one mask", "marred mask", "depth map", "two masks"
-CONVENTION = {
-    "left": "Chamfer distance after the network's first answer alone, over that of the start; mean",
-    "worse": f"share of the starts of which over {WORSE} is left",
-    "another shape, near": "starts as the training draws them, of shapes that no training sees: "
-    "validation shapes, kinds in no list, new shapes of every second family",
-    CLEAN: "right camera and mask, without a depth map",
-    MARRED_MASK: "the mask shows something else too, or lacks a part",
-    WITH_DEPTH: "right mask with a depth map, some of them noisy, with holes, or fitted",
-    "error": "mean distance of probability and frequency, over ten bins of equal width",
-}
 
 
 @dataclass(frozen=True)
@@ -374,14 +364,10 @@ def draw_chart(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="prior",
-    about="Trains priors on parts of what the shipped one has seen, and for fewer steps. Judges "
-    "them on shapes that none of them has seen. On two cores it takes about 50 minutes.",
+    values={"WORSE": WORSE},
     parts=("training of a prior",),
     tables=tables,
     draw=draw_chart,
-    reading="Above, each point is a training of its own, to its end. The last is the shipped "
-    "prior. Below, each row is a set of starts, and each colour a training that lacks something.",
-    convention=CONVENTION,
     options=(
         options.MESHES,
         options.SPLIT,

@@ -150,19 +150,9 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
 
 STUDY = Study(
     name="sigma",
-    about="Each shape's true cloud of 1,024 points is projected at 64x64 with growing sigma^2 and "
-    "compared with the mask.",
     parts=("pictures", "points, paper"),
     tables=tables,
     draw=draw,
-    reading="A narrow Gaussian leaves holes between the points, a wide one blurs the outline and "
-    "fills gaps. The best width depends on how densely the points cover the mask, so thin shapes "
-    "need a smaller one; between the extremes the error is flat.",
-    convention={
-        "sigma_sq": f"px^2 of the {SIZE}x{SIZE} mask",
-        "error": "|silhouette - mask|, mean over pixels, views and shapes: missing + excess",
-        "missing": "what the silhouette lacks of the mask; excess: what it has outside the mask",
-    },
     options=(
         *options.COMMON,
         options.part("test", "test", "validation", "train"),

@@ -49,16 +49,6 @@ TOLERANCE = 2e-3
 """How far behind the first hit along its ray a visible point may lie, in longest sides."""
 RAYS_AT_ONCE = 32
 """Rays are cast through a grid of columns and rows; only its diagonal is used."""
-CONVENTION = {
-    "chamfer": "squared distances, mean over points, forward (target -> prediction) + backward "
-    "(prediction -> target)",
-    "capnet": "the paper's protocol: in the camera's axes each cloud is centred and scaled to "
-    "longest side 1 by its own box",
-    "visible, occluded": "forward distance of the target points that the input view shows, and of "
-    "the others",
-    "iou": f"{IOU_MEANS}; on the 64x64 crop that the network sees",
-    "seconds": "one refinement, with reading the masks and comparing the silhouette, median",
-}
 
 
 def plan(
@@ -291,17 +281,10 @@ def grid(record: Record) -> list[list[Panel]]:
 
 STUDY = Study(
     name="tso",
-    about="The paper's table. The network predicts each view of each shape; the prediction is "
-    "compared with the truth before and after moving the encoder (E), the whole network (E and D) "
-    "and the points (p), with the paper's settings.",
+    values={"IOU_MEANS": IOU_MEANS},
     parts=("pictures", "points, paper", "network modes, paper"),
     tables=tables,
     draw=ratios(grid),
-    reading="The paper reports gains of 3 to 6 %. What a variant moves decides what it changes: "
-    "through the weights the whole cloud moves; points alone move where the mask asks for it. The "
-    "intervals are over shapes, as views of one shape are not independent. A gain counts only "
-    "where its whole interval lies below 1.",
-    convention=CONVENTION,
     options=(
         *options.COMMON,
         options.CHECKPOINT,
