@@ -67,10 +67,8 @@ def plan(
     """Compare the pace of ways; run a long batch of each engine, and kill it."""
     versions = {"tso": __version__, "python": platform.python_version()}
     settings = {"items": items, "kills": kills, "engines": list(engines), "seed": seed}
-    jobs: list[Any] = [
-        ({"what": "pace"}, partial(_paces, seed)),
-        ({"what": "manifest"}, partial(_manifest, seed)),
-    ]
+    jobs: list[Any] = [({"what": "pace"}, partial(_paces, seed))]
+    jobs += [({"what": "manifest"}, partial(_manifest, seed))]
     for engine in engines:
         make = partial(long_batch, items, kills, engine, seed, progress)
         jobs.append(({"what": "long", "engine": engine}, make))
@@ -133,7 +131,7 @@ def _paces(seed: int) -> Cases:
     ways = {
         "shell loop": (60, _shell_loop),
         "refine_batch": (300, _in_python),
-        "tso batch": (300, _batch),
+        "tso batch": (300, lambda folder: _tso(folder, "batch", "items.csv", "-o", "out").wait()),
         NOTHING: (5000, _nothing_to_do),
     }
     best = dict.fromkeys(ways, 0.0)
@@ -158,10 +156,6 @@ def _shell_loop(folder: Path) -> None:
         words = ("refine", cloud, mask, "--camera", camera, "-o", output, "--overwrite")
         if code := _tso(folder, *words).wait():
             raise subprocess.CalledProcessError(code, words)
-
-
-def _batch(folder: Path) -> None:
-    _tso(folder, "batch", "items.csv", "-o", "out").wait()
 
 
 def _in_python(folder: Path) -> None:
@@ -322,35 +316,36 @@ def _left(folder: Path, items: int, kills: int, orphans: int) -> Record:
 
 
 def conclude(cases: Cases) -> Record:
-    return {"claims": [claim(*found) for found in _claims(cases)]}
+    return {"claims": list(_claims(cases))}
 
 
-def _claims(cases: Cases) -> Iterator[tuple[str, bool, str]]:
-    """Target, whether it is met, what was measured."""
+def _claims(cases: Cases) -> Iterator[Record]:
     pace = {row["way"]: row["items_per_second"] for row in cases if "way" in row}
     if pace:
         loop, batch = (pace["tso batch"] / pace[name] for name in ("shell loop", "refine_batch"))
         text = "tso batch is at least 8 times as fast as a shell loop"
-        yield text, loop >= 8.0, f"{loop:.1f} times"
+        yield claim(text, loop >= 8.0, f"{loop:.1f} times")
         text = "tso batch has at least 0.95 of the pace of refine_batch"
-        yield text, batch >= 0.95, f"{batch:.2f}"
+        yield claim(text, batch >= 0.95, f"{batch:.2f}")
     for engine in dict.fromkeys(row["engine"] for row in cases if "tenth" in row):
         first, *_, last = (row for row in cases if "tenth" in row and row["engine"] == engine)
         slower, more = (last[key] / first[key] for key in ("items_per_second", "memory_MiB"))
         text = f"{engine}: the last tenth has at least 0.9 of the first one's pace"
-        yield text, slower >= 0.9, f"{slower:.2f}"
-        yield f"{engine}: memory grows by at most a tenth", more <= 1.1, f"{more:.2f} times"
+        yield claim(text, slower >= 0.9, f"{slower:.2f}")
+        text = f"{engine}: memory grows by at most a tenth"
+        yield claim(text, more <= 1.1, f"{more:.2f} times")
     for row in (row for row in cases if "kills" in row):
         engine, good = row["engine"], row["good"]
         whole = row["done_once"] == row["on_disk"] == good
         figures = f"{row['done_once']:,} and {row['on_disk']:,} of {good:,}"
-        yield f"{engine}: after all kills every item is done once and on disk", whole, figures
+        text = f"{engine}: after all kills every item is done once and on disk"
+        yield claim(text, whole, figures)
         rest = [row[key] for key in ("temporaries", "orphans", "other_files")]
         text = f"{engine}: no temporary file, no orphan and nothing else is left"
-        yield text, not any(rest), ", ".join(map(str, rest))
+        yield claim(text, not any(rest), ", ".join(map(str, rest)))
         named = row["broken_refused"] == row["broken"] and set(row["poison"]) == {"failed"}
         text = f"{engine}: broken items are refused, the item that kills its process named"
-        yield text, named, f"{row['broken_refused']} of {row['broken']}; {row['poison']}"
+        yield claim(text, named, f"{row['broken_refused']} of {row['broken']}; {row['poison']}")
 
 
 def tables(record: Record) -> list[Table]:

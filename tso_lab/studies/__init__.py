@@ -8,4 +8,4 @@ import tomllib
 WORDS: dict[str, dict[str, Any]] = tomllib.loads(
     Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
 )
-"""Command of `tso lab` -> its words; "study" is module in `tso_lab` and name in it of the `Study`."""
+"""Command of `tso lab` -> its words; "study": where in `tso_lab` its `Study` is."""

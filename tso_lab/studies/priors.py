@@ -31,6 +31,7 @@ from tso_cli.train.prior.state import new_state
 from tso_cli.workers.pool import cores
 
 from .. import options
+from ..charts import legend_beside
 from ..harm.scenes import unseen_shapes
 from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, crossed
@@ -136,7 +137,7 @@ def plan(
         done = about.get("settings", {}).get("steps", 0)
         return judged.cases({"training": SHIPPED, "steps": done, "minutes": 0.0}, weights)
 
-    jobs = [({"training": one.name}, partial(trained, one)) for one in trainings]
+    jobs = [({"training": training.name}, partial(trained, training)) for training in trainings]
     settings = {"split": (split or SPLIT).name, "steps": steps, "longest": longest}
     settings |= {"scenes": scenes, "seed": seed}
     return Plan(settings, [({"training": SHIPPED}, shipped), *jobs], "training")
@@ -156,23 +157,23 @@ class _Judged:
     def banks(self) -> dict[str, Bank]:
         """By name of the set, made once."""
         if not self._banks:
-            families = ShapeSet(
-                [one for one in ruled_shapes(4, JUDGED_SEED).shapes if one.category in LEFT_OUT]
-            )
-            sets = {"validation": self.read("validation"), "unseen": self._kinds()}
-            for name, shapes in (sets | {"families": families}).items():
+            ruled = ruled_shapes(4, JUDGED_SEED).shapes
+            # Kinds with one shape each are one category together, so that all can be drawn.
+            kinds = [
+                Shape.of(normalise(read_mesh(shape.path)), shape.name, "unseen", shape.name)
+                for shape in unseen_shapes(self._unseen)
+            ]
+            sets = {
+                "validation": self.read("validation"),
+                "unseen": ShapeSet(kinds),
+                "families": ShapeSet([shape for shape in ruled if shape.category in LEFT_OUT]),
+            }
+            for name, shapes in sets.items():
                 chances = Chances(MARRED, DEPTH_MAPS)
                 self._banks[name] = build_bank(
                     shapes, JUDGED_SCENES, JUDGED_SEED, processes=cores(), chances=chances
                 )
         return self._banks
-
-    def _kinds(self) -> ShapeSet:
-        """Kinds with one shape each: together they are one category, so that all can be drawn."""
-        listed = unseen_shapes(self._unseen)
-        return ShapeSet(
-            [Shape.of(normalise(read_mesh(s.path)), s.name, "unseen", s.name) for s in listed]
-        )
 
     def cases(self, about: Record, weights: Mapping[str, Any]) -> Cases:
         """A case for each set, start and condition; and one of what it says of each trouble."""
@@ -341,16 +342,14 @@ def draw_chart(path: Path, record: Record, overwrite: bool = False) -> None:
     chosen = [column for column in left if column.endswith(CLEAN) or column.endswith(WITH_DEPTH)]
     with page(path, overwrite, (8.6, 8.0), dpi=100) as figure:
         above, below = figure.subplots(2, 1)
+        places = [BATCH_SIZE * trainings[name][0] for name in curve]
         for number, column in enumerate(chosen):
             values = [left[column][name] for name in curve]
             colour = COLOURS[number // 2 % len(COLOURS)]
-            dashed = column.endswith(WITH_DEPTH)
-            places = [BATCH_SIZE * trainings[name][0] for name in curve]
-            above.plot(
-                places, values, "o--" if dashed else "o-", color=colour, label=column, markersize=3
-            )
+            line = "o--" if column.endswith(WITH_DEPTH) else "o-"
+            above.plot(places, values, line, color=colour, label=column, markersize=3)
         above.set(xscale="log", xlabel="starts seen", ylabel="error left")
-        above.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        legend_beside(above)
         rows = [name for name in trainings if name == WHOLE or name.startswith("without")]
         for number, name in enumerate(rows):
             values = [left[column][name] for column in left]
@@ -359,7 +358,7 @@ def draw_chart(path: Path, record: Record, overwrite: bool = False) -> None:
         below.set_yticks(range(len(left)), list(left), fontsize=8)
         below.invert_yaxis()
         below.set_xlabel("error left")
-        below.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        legend_beside(below)
 
 
 STUDY = Study(
