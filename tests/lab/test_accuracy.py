@@ -17,7 +17,7 @@ from tso_cli.scene.load import load_points_scene
 from tso_lab.harm.scenes import gallery
 from tso_lab.studies import accuracy
 from tso_lab.studies.accuracy import conclude
-from tso_lab.studies.refining import ABLATION, COMBINED, POINTS, with_prior
+from tso_lab.studies.cases import ABLATION, COMBINED, POINTS, with_prior
 from tso_lab.studies.shapes import prior_hash
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from tso_cli.optimisation.symmetry import find_mirror_plane
 from tso_cli.refinement import RefineConfig
-from tso_lab.studies.cases import CaseBuilder
+from tso_lab.studies.cases import CaseBuilder, Variant
 from tso_lab.studies.evidence import (
     MAPS,
     PLANES,
@@ -23,7 +23,6 @@ from tso_lab.studies.evidence import (
     with_map,
     without,
 )
-from tso_lab.studies.refining import Variant
 from tso_lab.studies.shapes import shapes_of_part
 
 from .studying import MESHES, VALIDATION, rng

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from tso_cli.refinement import refine
 from tso_lab.bench.pareto import DEFAULT, PAPER, WAYS, conclude, front, lines
 from tso_lab.bench.peers import PEERS
-from tso_lab.studies.refining import PAPER as PAPER_PRESET
-from tso_lab.studies.refining import POINTS
+from tso_lab.studies.cases import PAPER as PAPER_PRESET
+from tso_lab.studies.cases import POINTS
 
 from .studying import holding
 

@@ -19,7 +19,7 @@ from tso_lab.bench.peers import PEERS
 from tso_lab.commands import tools
 from tso_lab.harm.troubles import TROUBLE
 from tso_lab.options import option
-from tso_lab.studies import WORDS, evidence, fingerprint, pose, refining
+from tso_lab.studies import WORDS, cases, evidence, fingerprint, pose
 from tso_lab.study import Plan, Progress, Study, Table, claim, page
 
 from ..readme import RECORDS
@@ -184,9 +184,9 @@ def test_the_cases_of_a_kept_record_give_its_conclusions_and_its_page(path):
 
 QUICK = {
     name: replace(variant, config=replace(variant.config, steps=3))
-    for name, variant in refining.POINTS.items()
+    for name, variant in cases.POINTS.items()
 }
-FOUR = refining.Variant(RefineConfig(steps=3), 4)
+FOUR = cases.Variant(RefineConfig(steps=3), 4)
 ROWS = {"whole": (evidence.unaltered, FOUR), "part": (partial(evidence.without, part="side"), FOUR)}
 QUESTION = evidence.Question("Objects that lack a part", ("other",), ROWS, ("chair", "car"))
 WAY_NAMES = (
@@ -199,7 +199,7 @@ WAY_NAMES = (
 )
 QUICK_WAYS = {
     name: replace(way, run=replace(way.run, config=replace(way.run.config, steps=2)))
-    if isinstance(way.run, refining.Variant)
+    if isinstance(way.run, cases.Variant)
     else way
     for name, way in WAYS.items()
     if name in WAY_NAMES

@@ -23,8 +23,7 @@ from tso_cli.refinement import RefineConfig
 
 from .. import options
 from ..studies.accuracy import CATEGORIES
-from ..studies.cases import Case, CaseBuilder, kinds_of
-from ..studies.refining import COMBINED, Variant, alone
+from ..studies.cases import COMBINED, Case, CaseBuilder, Variant, alone, kinds_of
 from ..studies.shapes import Shape, shapes_of_part, view_aligned_network, weights_hash
 from ..studies.summary import grouped, ratio_figures, rounded, standard_error
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim

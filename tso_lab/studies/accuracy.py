@@ -21,17 +21,23 @@ from ..harm.scenes import STARTS, Gallery, gallery
 from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
 from .bounds import across_the_view
-from .cases import KINDS, LEVELS, MASKS, Case, CaseBuilder, farthest_point_subset, kinds_of
-from .refining import (
+from .cases import (
     ABLATION,
     BY_MASKS,
     DEFAULT,
+    KINDS,
+    LEVELS,
+    MASKS,
     NO_SYMMETRY,
     PAPER,
     POINTS,
     TWO_MASKS,
+    Case,
+    CaseBuilder,
     Variant,
     alone,
+    farthest_point_subset,
+    kinds_of,
     refined,
     with_prior,
 )

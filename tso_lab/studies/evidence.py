@@ -27,8 +27,7 @@ from tso_cli.render.viewpoints import fitting_distance
 from .. import options
 from ..charts import Panel, draw_ratios
 from ..study import Cases, Plan, Progress, Record, Study, Table
-from .cases import SAMPLES, Case, CaseBuilder, kinds_of
-from .refining import Variant, refined
+from .cases import SAMPLES, Case, CaseBuilder, Variant, kinds_of, refined
 from .shapes import Shape, shapes_of_part
 from .summary import grouped, rounded, summarised
 
