@@ -18,7 +18,7 @@ from tso_cli.geometry.points import longest_side, root_mean_square
 from tso_cli.plots.style import BETTER as GAIN_COLOUR
 from tso_cli.plots.style import COLOURS, INK, PALE, page
 from tso_cli.plots.style import WORSE as HARM_COLOUR
-from tso_cli.refinement import RefineConfig, RefineResult, refine
+from tso_cli.refinement import RefineConfig, refine
 
 from .. import options
 from ..options import option
@@ -98,13 +98,10 @@ def run_row(scene: Scene | InputError, config: RefineConfig) -> Record:
         "milliseconds": milliseconds,
     }
     if result.fit.stop_reason == "doubtful":
-        row["withheld_ratio"] = distance(_accepted(scene, config).points, scene) / before
+        accepting = replace(config, accept_doubtful=True)
+        accepted = uninterrupted(refine(scene.initial, scene.views, config=accepting))
+        row["withheld_ratio"] = distance(accepted.points, scene) / before
     return rounded({**row, "became": became(row)})
-
-
-def _accepted(scene: Scene, config: RefineConfig) -> RefineResult:
-    config = replace(config, accept_doubtful=True)
-    return uninterrupted(refine(scene.initial, scene.views, config=config))
 
 
 def _refused(error: TsoError) -> Record:
@@ -189,15 +186,11 @@ def plan(
         )
         for trouble in troubles
         for start in trouble.starts
-        for variant in VARIANTS
-        if variant == DEFAULT or (variants and refines(variant, trouble))
+        for variant in (VARIANTS if variants else (DEFAULT,))
+        # The paper's preset knows no depth maps.
+        if VARIANTS[variant].preset != "paper" or trouble.group != "depth"
     ]
     return Plan(settings, jobs)
-
-
-def refines(variant: str, trouble: Trouble) -> bool:
-    """The paper's preset knows no depth maps."""
-    return VARIANTS[variant].preset != "paper" or trouble.group != "depth"
 
 
 def conclude(cases: Cases) -> Record:
@@ -213,14 +206,10 @@ def conclude(cases: Cases) -> Record:
         totals |= {name: figures(group) for name, group in lists.items() if group}
         summary[variant][ALL] = totals | {ALL: figures(rows)}
     ours = [row for row in cases if row["variant"] == DEFAULT and TROUBLE[row["trouble"]].levels]
-    strengths = summarised(ours, ("trouble", "start"), _by_strength)
+    ours = [{**row, "strength": str(row["strength"])} for row in ours]
+    ours.sort(key=lambda row: int(row["strength"]))
+    strengths = summarised(ours, ("trouble", "start", "strength"), figures)
     return {"summary": summary, "strengths": strengths}
-
-
-def _by_strength(rows: Cases) -> Record:
-    """Strength, as text -> figures."""
-    groups = grouped(rows, "strength")
-    return {str(strength): figures(groups[strength]) for strength in sorted(groups)}
 
 
 def figures(rows: Cases) -> Record:

@@ -98,6 +98,9 @@ def plan(
         cases = [case for shape in group for case in builder.cases(shape, kind)]
         return refine_cases(cases, variants)
 
+    def refine_unseen(scenes: Gallery, numbers: Sequence[int], view: int) -> Cases:
+        return refine_cases([unseen_case(scenes, number, view) for number in numbers], variants)
+
     jobs, at_once = [], max(1, CASES_A_CALL // views)
     for category in categories:
         members = [shape for shape in shapes if shape.category == category]
@@ -110,16 +113,9 @@ def plan(
         for start in range(0, len(scenes.shapes), CASES_A_CALL):
             numbers = range(start, min(start + CASES_A_CALL, len(scenes.shapes)))
             shared = {"kind": UNSEEN, "shape": scenes.shape(start).name, "view": view}
-            jobs.append((shared, partial(refine_unseen, scenes, numbers, view, variants)))
+            jobs.append((shared, partial(refine_unseen, scenes, numbers, view)))
     extremes = partial(_extremes, builder=builder, shapes=shapes, variant=variants[DEFAULT])
     return Plan(settings, jobs, finish=pictures_at(pictures, progress.overwrite, extremes))
-
-
-def refine_unseen(
-    scenes: Gallery, numbers: Sequence[int], view: int, variants: Mapping[str, Variant]
-) -> Cases:
-    """As `refine_cases`, of shapes of kinds in no list; each starts as the warped truth."""
-    return refine_cases([unseen_case(scenes, number, view) for number in numbers], variants)
 
 
 def unseen_case(scenes: Gallery, number: int, view: int) -> Case:
@@ -236,26 +232,26 @@ def claims(cases: Cases) -> list[Record]:
 
 def _aims(kind: str, cases: Cases) -> list[Record]:
     """Ratios of means; the mean of ratios says how much single cases differ from them."""
+
+    def ratio_after(group: Cases, variant: str) -> float:
+        return ratio_of_means(group, (case["variants"][variant]["chamfer"] for case in group))
+
     categories = {**grouped(cases, "category"), ALL: cases}
     answers = []
     for category in (name for name in AIMS[kind] if name in categories):
         group = categories[category]
-        against = [f"the paper's preset {_ratio_after(group, PAPER):.3f}"]
+        against = [f"the paper's preset {ratio_after(group, PAPER):.3f}"]
         if all("bound" in case for case in group):
             bound = ratio_of_means(group, (case["bound"] for case in group))
             against.append(f"bound of one mask {bound:.2f}")
         floor = ratio_of_means(group, (case["before"]["floor"] for case in group))
         against.append(f"sampling floor {floor:.2f}")
         for variant, aim in AIMS[kind][category].items():
-            ratio, mean_ratio = _ratio_after(group, variant), ratios_of(group, variant).mean()
+            ratio, mean_ratio = ratio_after(group, variant), ratios_of(group, variant).mean()
             text = f"{kind}, {category}: {variant}: ratio of means at most {aim:.2f}"
             found = f"{ratio:.3f}, mean of ratios {mean_ratio:.3f}; {', '.join(against)}"
             answers.append(claim(text, ratio <= aim, found))
     return answers
-
-
-def _ratio_after(cases: Cases, variant: str) -> float:
-    return ratio_of_means(cases, (case["variants"][variant]["chamfer"] for case in cases))
 
 
 def _beyond_the_paper(cases: Cases) -> Record:
@@ -339,29 +335,24 @@ def _means(cases: Cases) -> Record:
 def tables(record: Record) -> list[Table]:
     """A row for each variant; of an ablation one table for all categories."""
     summary = record["summary"]
-    if not record["settings"]["ablation"]:
-        return [_of_categories(summary)]
-    groups = {
-        f"{category}, {kind}": group
-        for kind, of_kind in summary.items()
-        for category, group in of_kind.items()
-    }
-    return [Table(["", *groups], _rows(groups), note=CELLS)]
+    if record["settings"]["ablation"]:
+        groups = {
+            f"{category}, {kind}": group
+            for kind, of_kind in summary.items()
+            for category, group in of_kind.items()
+        }
+        return [Table(["", *groups], _rows(groups), note=CELLS)]
+    rows = []
+    for category in dict.fromkeys(category for of_kind in summary.values() for category in of_kind):
+        of_kinds = {kind: of_kind.get(category) for kind, of_kind in summary.items()}
+        rows += [[category, *row] for row in _rows(of_kinds)]
+    return [Table(["category", "variant", *summary], rows, note=CELLS)]
 
 
 CELLS = "mean of Chamfer after / before (number of cases that got worse, worst ratio); floor: the "
 CELLS += "ratio of another sampling of the truth; bound: mean Chamfer of the best deformation "
 CELLS += "across the view / mean Chamfer of the start"
 LAST_ROWS = ("bound", "floor", "start, Chamfer x1000", "cases")
-
-
-def _of_categories(summary: Record) -> Table:
-    """A column for each kind."""
-    rows = []
-    for category in dict.fromkeys(category for of_kind in summary.values() for category in of_kind):
-        groups = {kind: of_kind.get(category) for kind, of_kind in summary.items()}
-        rows += [[category, *row] for row in _rows(groups)]
-    return Table(["category", "variant", *summary], rows, note=CELLS)
 
 
 def _rows(groups: dict[str, Record | None]) -> list[list[str | None]]:

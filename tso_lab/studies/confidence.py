@@ -144,8 +144,16 @@ def fitted(rows: Sequence[Row]) -> Record:
     deviation[deviation == 0.0] = 1.0
     standard = np.clip((values - mean) / deviation, -MOST_DEVIATIONS, MOST_DEVIATIONS)
     folds = np.unique([row["shape"] for row, _ in chosen], return_inverse=True)[1] % FOLDS
-    losses = [_held_out(standard, worse, weights, folds, penalty) for penalty in PENALTIES]
-    *slopes, offset = _logistic(standard, worse, weights, PENALTIES[int(np.argmin(losses))])
+
+    def held_out(penalty: float) -> float:
+        """The cross-entropy of each fold after a fit to the others, added."""
+        loss = 0.0
+        for here in (folds == fold for fold in range(FOLDS)):
+            fit = _logistic(standard[~here], worse[~here], weights[~here], penalty)
+            loss += _cross_entropy(fit, standard[here], worse[here], weights[here])
+        return loss
+
+    *slopes, offset = _logistic(standard, worse, weights, min(PENALTIES, key=held_out))
     terms = np.stack([mean, deviation, slopes], 1).round(4).tolist()
     features = dict(zip(names, terms, strict=True))
     return {"offset": round(float(offset), 4), "features": features}
@@ -157,18 +165,6 @@ def _weights(rows: Cases) -> Floats:
     shares = RIGHT_SHARE / max(right.sum(), 1), (1.0 - RIGHT_SHARE) / max((~right).sum(), 1)
     weights = np.where(right, *shares)
     return np.asarray(weights / weights.sum())
-
-
-def _held_out(
-    values: Floats, worse: Floats, weights: Floats, folds: NDArray[np.int_], penalty: float
-) -> float:
-    """The cross-entropy of each fold after a fit to the others, added."""
-    loss = 0.0
-    for fold in range(FOLDS):
-        here = folds == fold
-        fit = _logistic(values[~here], worse[~here], weights[~here], penalty)
-        loss += _cross_entropy(fit, values[here], worse[here], weights[here])
-    return loss
 
 
 def _cross_entropy(slopes: Floats, values: Floats, worse: Floats, weights: Floats) -> float:
@@ -219,12 +215,13 @@ def conclude(cases: Cases) -> Record:
         {name: _figures(rows) for name, rows in groups.items() if _ended(rows)}
         for groups in (chosen, grouped(named, "name"))
     )
-    found = {"summary": summary, "troubles": by_trouble, "limits": _limits(cases)}
-    found |= {"mixture": _mixture(cases), "reliability": _reliability(cases)}
-    area, kept = summary["all"]["auc"] or 0.0, summary["right scenes"]["withheld"]
+    area, withheld = summary["all"]["auc"] or 0.0, summary["right scenes"]["withheld"]
     text = f"at most {MOST_WITHHELD:.1%} of the right scenes are better and left as they were"
-    answers = [claim(f"AUC is at least {LEAST_AUC}", area >= LEAST_AUC, f"{area:.3f}")]
-    return {**found, "claims": [*answers, claim(text, kept <= MOST_WITHHELD, f"{kept:.3f}")]}
+    claims = [claim(f"AUC is at least {LEAST_AUC}", area >= LEAST_AUC, f"{area:.3f}")]
+    claims.append(claim(text, withheld <= MOST_WITHHELD, f"{withheld:.3f}"))
+    of_cases: Record = {"limits": _limits(cases), "mixture": _mixture(cases)}
+    of_cases |= {"reliability": _reliability(cases), "claims": claims}
+    return {"summary": summary, "troubles": by_trouble, **of_cases}
 
 
 def _ended(cases: Cases) -> Cases:

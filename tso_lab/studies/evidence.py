@@ -196,6 +196,7 @@ def _held(view: View, holds: str, truth: Truth, rng: Rng) -> Array:
     scale, shift = 10.0 ** rng.uniform(-1.0, 3.0), rng.uniform(0.5, 1.0)
     left, top, right, bottom = view.box()
     across = round(SHIFT * max(right - left, bottom - top))
+    lying = replace(truth.mesh, vertices=truth.mesh.vertices[:, [1, 2, 0]])
     numbers: dict[str, Callable[[], Array]] = {
         DEPTH: lambda: depth,
         "1 / depth": lambda: 1.0 / depth,
@@ -205,15 +206,11 @@ def _held(view: View, holds: str, truth: Truth, rng: Rng) -> Array:
         "millimetres": lambda: 1000.0 * depth,
         "along the ray": lambda: depth * view.camera.ray_lengths(*np.indices(depth.shape)),
         # The shape on its side stands for another object.
-        "another object": lambda: exact_depth(_lying(truth), view.camera),
+        "another object": lambda: exact_depth(RayScene(lying), view.camera),
         "flipped": lambda: depth[:, ::-1],
         "shifted by 10 %": lambda: np.roll(depth, across, 1),
     }
     return numbers[holds]()
-
-
-def _lying(truth: Truth) -> RayScene:
-    return RayScene(replace(truth.mesh, vertices=truth.mesh.vertices[:, [1, 2, 0]]))
 
 
 # The study.

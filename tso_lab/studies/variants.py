@@ -76,9 +76,7 @@ def plan(
         seen, numbers = see(shape, render, settings["seed"]), range(settings["views"])
         return [refine_view(shape, seen, number, network, about, config) for number in numbers]
 
-    # The settings count the shapes.
-    jobs = by_shape({}, shapes, refine_shape).jobs
-    return Plan(settings, jobs)
+    return Plan(settings, by_shape({}, shapes, refine_shape).jobs)  # the settings count the shapes
 
 
 def refine_view(
