@@ -16,7 +16,7 @@ from tso_cli.geometry.points import Array
 from tso_cli.io.shipped import default_checkpoint
 
 from .. import options
-from ..charts import Panel, draw_ratios, pictures_at
+from ..charts import Panel, pictures_at, ratios
 from ..harm.scenes import STARTS, Gallery, gallery
 from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
@@ -374,16 +374,16 @@ def _cells(group: Record) -> dict[str, str]:
     return cells | bound | dict(zip(LAST_ROWS[1:], last, strict=True))
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def grid(record: Record) -> list[list[Panel]]:
     """Ratios of all cases, a row of panels for each kind."""
-    grid: list[list[Panel]] = []
+    rows = []
     for name, group in grouped(record["cases"], "kind").items():
         panels = []
         for category, cases in grouped(group, "category").items():
-            rows = {variant: ratios_of(cases, variant) for variant in cases[0]["variants"]}
-            panels.append(Panel(f"{category}, {name}", rows))
-        grid.append(panels)
-    draw_ratios(path, grid, overwrite)
+            of_variants = {variant: ratios_of(cases, variant) for variant in cases[0]["variants"]}
+            panels.append(Panel(f"{category}, {name}", of_variants))
+        rows.append(panels)
+    return rows
 
 
 STUDY = Study(
@@ -391,7 +391,7 @@ STUDY = Study(
     values={"F_THRESHOLD": F_THRESHOLD, "IOU_MEANS": IOU_MEANS},
     parts=("pictures", "points, paper", "points, best", "network modes, paper"),
     tables=tables,
-    draw=draw,
+    draw=ratios(grid),
     options=(
         *options.COMMON,
         options.part("test"),

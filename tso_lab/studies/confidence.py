@@ -18,7 +18,7 @@ from tso_cli.io.output import atomic_output
 from tso_cli.refinement import RefineConfig, refine
 
 from .. import options
-from ..charts import draw_bars
+from ..charts import Rows, bars
 from ..harm.scenes import Gallery, Scene, gallery
 from ..harm.study import BETTER, VIEWS, WORSE, altered, distance
 from ..harm.troubles import TROUBLES, Trouble
@@ -314,7 +314,7 @@ def tables(record: Record) -> list[Table]:
     ]
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def panels(record: Record) -> Rows:
     """Reliability by bin of confidence, and the AUC by kind of scene."""
     reliability = {
         f"{stated:.2f}": {"confidence": stated, "not worse": true}
@@ -324,8 +324,7 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         name: {"confidence": row["auc"], "IoU gain": row["auc_iou_gain"]}
         for name, row in record["summary"].items()
     }
-    panels = {"share that is not worse by over 5 %, by confidence": reliability, "AUC": areas}
-    draw_bars(path, panels, overwrite)
+    return {"share that is not worse by over 5 %, by confidence": reliability, "AUC": areas}
 
 
 STUDY = Study(
@@ -339,7 +338,7 @@ STUDY = Study(
     },
     parts=("points, best",),
     tables=tables,
-    draw=draw,
+    draw=bars(panels),
     options=(
         options.MESHES,
         options.SPLIT,

@@ -25,7 +25,7 @@ from tso_cli.render.rays import RayScene, render_view
 from tso_cli.render.viewpoints import fitting_distance
 
 from .. import options
-from ..charts import Panel, draw_ratios
+from ..charts import Panel, ratios
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from .cases import SAMPLES, Case, CaseBuilder, Variant, kinds_of, refined
 from .shapes import Shape, shapes_of_part
@@ -382,26 +382,26 @@ def tables(record: Record) -> list[Table]:
     return result
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def grid(record: Record) -> list[list[Panel]]:
     """Chamfer after / before of every case: a row of panels for each question."""
-    grid = []
+    rows = []
     for question, cases in grouped(record["cases"], "question").items():
         panels = []
         for kind, of_kind in grouped(cases, "kind").items():
-            ratios: dict[str, list[float]] = {}
+            by_label: dict[str, list[float]] = {}
             for label in record["summary"][question][kind][ALL]:
-                rows = [case["rows"][label] for case in of_kind if label in case["rows"]]
-                ratios[label] = [row["chamfer"] / row["before"] for row in rows]
-            panels.append(Panel(f"{question}, {kind}", ratios))
-        grid.append(panels)
-    draw_ratios(path, grid, overwrite)
+                of_label = [case["rows"][label] for case in of_kind if label in case["rows"]]
+                by_label[label] = [row["chamfer"] / row["before"] for row in of_label]
+            panels.append(Panel(f"{question}, {kind}", by_label))
+        rows.append(panels)
+    return rows
 
 
 STUDY = Study(
     name="evidence",
     parts=("pictures", "points, best"),
     tables=tables,
-    draw=draw,
+    draw=ratios(grid),
     options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
     conclude=conclude,
