@@ -294,7 +294,7 @@ def draw(path: Path, record: Record, overwrite: bool) -> None:
         figure.legend(handles=handles, **place)
         figure.draw_without_rendering()  # labels are placed in pixels: the axes must stand first
         for axis, (kind, group) in zip(axes, panels.items(), strict=True):
-            _label(axis, group, others=kind == CLOUD)
+            _label(axis, group, with_peers=kind == CLOUD)
 
 
 def _place(row: Record) -> tuple[float, float]:
@@ -338,8 +338,8 @@ def _draw_ways(axis: Any, group: Record) -> None:
     axis.plot(*_place(ways[DEFAULT]), "*", **star)
 
 
-def _label(axis: Any, group: Record, others: bool) -> None:
-    """Name the presets, the front, the ends of sweeps and single ways; ``others`` : peers too."""
+def _label(axis: Any, group: Record, with_peers: bool) -> None:
+    """Name the presets, the front, the ends of sweeps and single ways; peers only if told."""
     from matplotlib.patheffects import withStroke
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
@@ -352,7 +352,7 @@ def _label(axis: Any, group: Record, others: bool) -> None:
     style |= {"path_effects": [withStroke(linewidth=2.5, foreground="white")]}
     arrow = {"arrowstyle": "-", "color": OTHERS, "linewidth": 0.5}
     for name in dict.fromkeys([DEFAULT, PAPER, *group["front"], *ends]):
-        if name in PEERS and not others:
+        if name in PEERS and not with_peers:
             continue
         text = {DEFAULT: "default", PAPER: "paper"}.get(name) or name.removeprefix(f"{DEFAULT}, ")
         text = text.replace("points, paper, ", "").replace(", best", "")

@@ -446,7 +446,7 @@ def conclude(cases: Cases) -> Record:
     def of(what: str, **fields: Any) -> Cases:
         return [row for row in measured if row["what"] == what and fields.items() <= row.items()]
 
-    return {"claims": [claim(*found) for found in _claims(of)]}
+    return {"claims": [claim(*target) for target in _claims(of)]}
 
 
 def _claims(of: Callable[..., Cases]) -> Iterator[tuple[str, bool, str]]:

@@ -273,8 +273,8 @@ def _portrait(scene: Scene, level: float, rng: Rng) -> Scene:
 
 
 def _other_camera(scene: Scene, level: float, rng: Rng) -> Scene:
-    first, second, third, *others = scene.views
-    return replace(scene, views=(first, replace(second, camera=third.camera), third, *others))
+    first, second, third, fourth = scene.views
+    return replace(scene, views=(first, replace(second, camera=third.camera), third, fourth))
 
 
 # Depth maps [H, W] of the true surface, NaN beside it, altered; the longest side is 1.

@@ -249,8 +249,8 @@ def _aims(kind: str, cases: Cases) -> list[Record]:
         for variant, aim in AIMS[kind][category].items():
             ratio, mean_ratio = ratio_after(group, variant), ratios_of(group, variant).mean()
             text = f"{kind}, {category}: {variant}: ratio of means at most {aim:.2f}"
-            found = f"{ratio:.3f}, mean of ratios {mean_ratio:.3f}; {', '.join(against)}"
-            answers.append(claim(text, ratio <= aim, found))
+            figures = f"{ratio:.3f}, mean of ratios {mean_ratio:.3f}; {', '.join(against)}"
+            answers.append(claim(text, ratio <= aim, figures))
     return answers
 
 
@@ -301,8 +301,8 @@ def _rarely_clearly_worse(kind: str, cases: Cases, limit: float) -> Record:
     ratios = ratios_of(cases, DEFAULT)
     share = float((ratios > WORST).mean())
     text = f"{kind}: {DEFAULT}: under {100.0 * limit:g} % of cases become worse by over "
-    found = f"{100.0 * share:.1f} % of {len(ratios)}, worst {ratios.max():.3f}"
-    return claim(f"{text}{100.0 * (WORST - 1.0):.0f} %", share < limit, found)
+    figures = f"{100.0 * share:.1f} % of {len(ratios)}, worst {ratios.max():.3f}"
+    return claim(f"{text}{100.0 * (WORST - 1.0):.0f} %", share < limit, figures)
 
 
 def conclude(cases: Cases) -> Record:

@@ -74,7 +74,7 @@ def row_of(names: Record, scene: Scene | InputError) -> Row:
     except TsoError as error:
         return row_of(names, InputError(str(uninterrupted(error))))
     trust, fit = result.trust, result.fit
-    finding = any(one.suspicious for one in result.findings)
+    finding = any(item.suspicious for item in result.findings)
     doubtful = trust.verdict == "doubtful"
     # What stays as it was has no confidence under a finding.
     confidence = float(not doubtful) if trust.confidence is None else trust.confidence
@@ -194,11 +194,11 @@ def auc(confidence: Floats, worse: NDArray[np.bool_]) -> float | None:
     """
     from scipy.stats import rankdata
 
-    count, others = int(worse.sum()), int((~worse).sum())
-    if not count * others:
+    worse_count, other_count = int(worse.sum()), int((~worse).sum())
+    if not worse_count * other_count:
         return None
     ranks = rankdata(-confidence)[worse].sum()
-    return float((ranks - count * (count + 1) / 2) / (count * others))
+    return float((ranks - worse_count * (worse_count + 1) / 2) / (worse_count * other_count))
 
 
 def conclude(cases: Cases) -> Record:

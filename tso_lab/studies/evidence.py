@@ -158,7 +158,8 @@ def named(result: RefineResult, label: str) -> float:
 
 
 def _wrong(result: RefineResult) -> set[str]:
-    return {one.name for one in result.findings if one.name in OF_DEPTH_MAPS} - {"depth-fitted"}
+    names = {finding.name for finding in result.findings}
+    return names & set(OF_DEPTH_MAPS) - {"depth-fitted"}
 
 
 def with_fov(case: Case, truth: Truth, rng: Rng, fov: float) -> Case:
@@ -370,15 +371,15 @@ def tables(record: Record) -> list[Table]:
     """A table for each question."""
     result = []
     for question, kinds in record["summary"].items():
-        asked = QUESTIONS[question]
-        columns = FIGURES | {name: name for name in asked.more}
+        about = QUESTIONS[question]
+        columns = FIGURES | {name: name for name in about.more}
         rows = [
             [kind, label, *map(figures.get, columns)]
             for kind, groups in kinds.items()
             for label, figures in groups[ALL].items()
         ]
         header = ["kind", question, *columns.values()]
-        result.append(Table(header, rows, title=asked.title))
+        result.append(Table(header, rows, title=about.title))
     return result
 
 

@@ -114,8 +114,8 @@ def up_to_scaling(points: Array, truth: Array, camera: Camera) -> float:
         return chamfer(scaled, truth).chamfer
 
     bounds = (-MOST_SCALING, MOST_SCALING)
-    found = minimize_scalar(error, bounds=bounds, method="bounded", options={"xatol": 1e-3})
-    return float(min(found.fun, error(0.0)))
+    best = minimize_scalar(error, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    return float(min(best.fun, error(0.0)))
 
 
 def conclude(cases: Cases) -> Record:

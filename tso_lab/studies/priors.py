@@ -188,8 +188,8 @@ class _Judged:
                 # Another shape would be one of another kind.
                 starts.pop("another shape")
             for start, chosen in starts.items():
-                for condition, (held, left) in rows.conditions().items():
-                    values = left[chosen & held]
+                for condition, (holds, left) in rows.conditions().items():
+                    values = left[chosen & holds]
                     row: Record = {"set": name, "start": start, "condition": condition}
                     row |= {"starts": len(values), "left": float(values.mean())}
                     cases.append({**about, **row, "worse": float((values > WORSE).mean())})
@@ -221,7 +221,7 @@ class _Rows:
 
     @classmethod
     def of(cls, weights: Mapping[str, torch.Tensor], bank: Bank) -> _Rows:
-        parts = [_of_batch(*one) for one in _outcomes(weights, bank)]
+        parts = [_of_batch(*pair) for pair in _outcomes(weights, bank)]
         joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
         cells = joined.pop("foreign_said"), joined.pop("foreign") > 0.5
         return cls(**joined, cells=cells)
@@ -266,15 +266,15 @@ def _of_batch(batch: Batch, came: Outcome) -> dict[str, NDArray[Any]]:
     of = {name: troubles[..., number] for number, name in enumerate(TROUBLES)}
     part = of["foreign"] | of["hidden"]
     elsewhere = of["moved"] | of["camera"] | of["outline"] | of["unrelated"] | of["plane"]
-    known = ~batch.counterpart.isnan().any(-1).numpy()
+    matched = ~batch.counterpart.isnan().any(-1).numpy()
     frame = came.frame
     # One cell of twenty: those of one mask are alike.
     inside = (frame.distance < 0.0)[:, 0].flatten()[::20].numpy()
     foreign = frame.foreign[:, 0].flatten()[::20].numpy()[inside]
     said = came.answers.cells.unflatten(0, frame.distance.shape[:2])[:, 0, 0].sigmoid()
     return {
-        "other": ~known.any(1),
-        "near": known.any(1) & of["shape"][:, 0],
+        "other": ~matched.any(1),
+        "near": matched.any(1) & of["shape"][:, 0],
         "wrong": elsewhere[:, 0],
         "marred": part[:, 0],
         "deep": frame.views["measured"].flatten(2).amax(2)[:, 0].numpy() > 0.0,
@@ -312,7 +312,7 @@ def conclude(cases: Cases) -> Record:
 
 def tables(record: Record) -> list[Table]:
     trainings = record["trainings"]
-    found = []
+    result = []
     for key, title in (("left", "Error left"), ("worse", f"Share of starts over {WORSE}")):
         for subset in dict.fromkeys(column.partition(",")[0] for column in record[key]):
             columns = {
@@ -328,10 +328,10 @@ def tables(record: Record) -> list[Table]:
                 }
                 for name, (steps, minutes) in trainings.items()
             }
-            found.append(crossed(cells, "training", f"{title}: {subset}"))
+            result.append(crossed(cells, "training", f"{title}: {subset}"))
     for subset, troubles in record["doubts"].items():
-        found.append(crossed(troubles, "trouble", f"What the shipped prior says: {subset}"))
-    return found
+        result.append(crossed(troubles, "trouble", f"What the shipped prior says: {subset}"))
+    return result
 
 
 def draw_chart(path: Path, record: Record, overwrite: bool = False) -> None:

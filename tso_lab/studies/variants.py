@@ -161,8 +161,8 @@ def _means(cases: Cases) -> Record:
         row: Record = {}
         for key in ("forward", "backward", "visible", "occluded"):
             values = [case["capnet"][name][key] for case in cases]
-            known = [value for value in values if value is not None]
-            row[key] = mean(known) if known else None
+            distances = [value for value in values if value is not None]
+            row[key] = mean(distances) if distances else None
         row["chamfer"] = float(chamfer.mean())
         if name != "before":
             before, shapes = capnet["before"], [case["shape"] for case in cases]
