@@ -85,7 +85,7 @@ class Network:
         paper's for the category unless it is changed too.
     category : to train and compare on; `EACH` of the study's in turn, or `ALL` of them together,
         equally often. beside : a category without which the network is left out.
-    projection : of `discretised`; empty for the paper's.
+    projection : another one, `PLAIN` or `DEPTH`; empty for the paper's.
     constant : take the mean training shape in place of a network. repeat : is added to the seed.
     """
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -54,6 +54,9 @@ JUDGED_SCENES, JUDGED_BATCHES, JUDGED_SEED = 400, 60, 1000
 WORSE = 1.05
 BINS = 10
 CLEAN, MARRED_MASK, WITH_DEPTH, TWO = "one mask", "marred mask", "depth map", "two masks"
+CONDITIONS = {CLEAN: 0, TWO: 2, WITH_DEPTH: 0, MARRED_MASK: 0}
+"""Of starts -> the column of `Outcome.left` that counts."""
+STARTS = OTHER, NEAR = "another shape", "near"
 
 
 @dataclass(frozen=True)
@@ -182,108 +185,70 @@ class _Judged:
         }
         cases: Cases = []
         for name, bank in self.banks().items():
-            rows = _Rows.of(tensors, bank)
-            starts = {"another shape": rows.other, "near": rows.near}
-            if name == "unseen":
-                # Another shape would be one of another kind.
-                starts.pop("another shape")
-            for start, chosen in starts.items():
-                for condition, (holds, left) in rows.conditions().items():
-                    values = left[chosen & holds]
+            of = outcomes(tensors, bank)
+            # Another shape than one of a kind by itself would be of another kind.
+            for start in STARTS[name == "unseen" :]:
+                for condition, pass_number in CONDITIONS.items():
+                    values = of["left"][of[start] & of[condition], pass_number]
                     row: Record = {"set": name, "start": start, "condition": condition}
                     row |= {"starts": len(values), "left": float(values.mean())}
                     cases.append({**about, **row, "worse": float((values > WORSE).mean())})
-            cases.append({**about, "set": name, "start": "", "troubles": rows.doubts()})
+            cases.append({**about, "set": name, "start": "", "troubles": doubts(of)})
         return [rounded(case) for case in cases]
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """What a prior makes of N starts, in their first views.
+def outcomes(weights: Mapping[str, torch.Tensor], bank: Bank) -> dict[str, NDArray[Any]]:
+    """What a prior makes of N starts in their first views; of the same ones for every prior.
 
-    other, near : [N], the kind of the start. wrong : [N], whether anything is wrong with cloud,
-    camera or picture. marred, deep : [N], whether the mask has a part that it should not have, or
-    lacks one; whether there is a depth map. left : [N, 3], see `Outcome`. both : [N], whether
-    nothing is wrong with the second view either. said, true : [2 N, T], probabilities of troubles,
-    and whether they are the case, in all views. cells : (said, true) of cells, [C] each.
+    Of `STARTS` and `CONDITIONS` [N], which starts they hold for. left : [N, 3], see `Outcome`.
+    said, true : [2 N, T], probabilities of troubles, and whether they are the case, in all views.
+    foreign_said, foreign : the same of cells, [C] each.
     """
-
-    other: Bits
-    near: Bits
-    wrong: Bits
-    marred: Bits
-    deep: Bits
-    left: NDArray[np.float64]
-    both: Bits
-    said: NDArray[np.float64]
-    true: Bits
-    cells: tuple[NDArray[np.float64], Bits]
-
-    @classmethod
-    def of(cls, weights: Mapping[str, torch.Tensor], bank: Bank) -> _Rows:
-        parts = [_of_batch(*pair) for pair in _outcomes(weights, bank)]
-        joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-        cells = joined.pop("foreign_said"), joined.pop("foreign") > 0.5
-        return cls(**joined, cells=cells)
-
-    def conditions(self) -> dict[str, tuple[Bits, NDArray[np.float64]]]:
-        """By name: which starts they hold for, and what is left of them."""
-        right = ~self.wrong & ~self.marred
-        return {
-            CLEAN: (right & ~self.deep, self.left[:, 0]),
-            TWO: (right & self.both & ~self.deep, self.left[:, 2]),
-            WITH_DEPTH: (right & self.deep, self.left[:, 0]),
-            MARRED_MASK: (~self.wrong & self.marred & ~self.deep, self.left[:, 0]),
-        }
-
-    def doubts(self) -> Record:
-        """Of each trouble, and of foreign cells: how often, AUC, and error of the probability."""
-        columns = dict(zip(TROUBLES, zip(self.said.T, self.true.T, strict=True), strict=True))
-        return {
-            name: rounded(
-                {
-                    "frequency": float(true.mean()),
-                    "AUC": auc(-said, true),
-                    "error": _error(said, true),
-                }
-            )
-            for name, (said, true) in {**columns, "a foreign cell": self.cells}.items()
-        }
-
-
-def _outcomes(weights: Mapping[str, torch.Tensor], bank: Bank) -> Iterator[tuple[Batch, Outcome]]:
-    """The same batches for every prior."""
+    parts = []
     for number in range(JUDGED_BATCHES):
         batch = draw(bank, np.random.default_rng([JUDGED_SEED, number]), BATCH_SIZE)
         generator = torch.Generator().manual_seed(number)
         with torch.no_grad():
-            yield batch, outcome(weights, batch, generator, second_pass=0.0)
+            parts.append(_columns(batch, outcome(weights, batch, generator, second_pass=0.0)))
+    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
 
-def _of_batch(batch: Batch, came: Outcome) -> dict[str, NDArray[Any]]:
-    """The fields of `_Rows`, of one batch."""
+def _columns(batch: Batch, result: Outcome) -> dict[str, NDArray[Any]]:
     troubles = batch.troubles.numpy() > 0.5  # [B, V, T]
     of = {name: troubles[..., number] for number, name in enumerate(TROUBLES)}
-    part = of["foreign"] | of["hidden"]
-    elsewhere = of["moved"] | of["camera"] | of["outline"] | of["unrelated"] | of["plane"]
+    marred = of["foreign"] | of["hidden"]
+    wrong = of["moved"] | of["camera"] | of["outline"] | of["unrelated"] | of["plane"]
+    right = ~(wrong | marred)  # [B, V]
     matched = ~batch.counterpart.isnan().any(-1).numpy()
-    frame = came.frame
+    frame = result.frame
+    deep = frame.views["measured"].flatten(2).amax(2)[:, 0].numpy() > 0.0
     # One cell of twenty: those of one mask are alike.
     inside = (frame.distance < 0.0)[:, 0].flatten()[::20].numpy()
-    foreign = frame.foreign[:, 0].flatten()[::20].numpy()[inside]
-    said = came.answers.cells.unflatten(0, frame.distance.shape[:2])[:, 0, 0].sigmoid()
+    said = result.answers.cells.unflatten(0, frame.distance.shape[:2])[:, 0, 0].sigmoid()
     return {
-        "other": ~matched.any(1),
-        "near": matched.any(1) & of["shape"][:, 0],
-        "wrong": elsewhere[:, 0],
-        "marred": part[:, 0],
-        "deep": frame.views["measured"].flatten(2).amax(2)[:, 0].numpy() > 0.0,
-        "left": came.left.double().numpy(),
-        "both": ~(elsewhere | part)[:, 1],
-        "said": came.answers.troubles.sigmoid().double().numpy(),
+        OTHER: ~matched.any(1),
+        NEAR: matched.any(1) & of["shape"][:, 0],
+        CLEAN: right[:, 0] & ~deep,
+        TWO: right[:, 0] & right[:, 1] & ~deep,
+        WITH_DEPTH: right[:, 0] & deep,
+        MARRED_MASK: ~wrong[:, 0] & marred[:, 0] & ~deep,
+        "left": result.left.double().numpy(),
+        "said": result.answers.troubles.sigmoid().double().numpy(),
         "true": troubles.reshape(-1, troubles.shape[-1]),
-        "foreign": foreign,
+        "foreign": frame.foreign[:, 0].flatten()[::20].numpy()[inside] > 0.5,
         "foreign_said": said.flatten()[::20].double().numpy()[inside],
+    }
+
+
+def doubts(of: Mapping[str, NDArray[Any]]) -> Record:
+    """Of each trouble, and of foreign cells: how often, AUC, and error of the probability."""
+    columns = dict(zip(TROUBLES, zip(of["said"].T, of["true"].T, strict=True), strict=True))
+    columns["a foreign cell"] = of["foreign_said"], of["foreign"]
+    return {
+        name: rounded(
+            {"frequency": float(true.mean()), "AUC": auc(-said, true), "error": _error(said, true)}
+        )
+        for name, (said, true) in columns.items()
     }
 
 
