@@ -16,7 +16,7 @@ from tso_cli.diagnosis.depth_map import Held
 from tso_cli.diagnosis.findings import OF_DEPTH_MAPS
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.camera import Camera, intrinsics
-from tso_cli.geometry.points import Array, farthest_point_sample, sample_surface
+from tso_cli.geometry.points import Array, sample_surface
 from tso_cli.geometry.view import View
 from tso_cli.io.meshes import Mesh
 from tso_cli.optimisation.symmetry import find_mirror_plane
@@ -27,7 +27,7 @@ from tso_cli.render.viewpoints import fitting_distance
 from .. import options
 from ..charts import Panel, ratios
 from ..study import Cases, Plan, Progress, Record, Study, Table
-from .cases import SAMPLES, Case, CaseBuilder, Variant, kinds_of, refined
+from .cases import SAMPLES, Case, CaseBuilder, Variant, farthest_point_subset, kinds_of, refined
 from .shapes import Shape, shapes_of_part
 from .summary import grouped, rounded, summarised
 
@@ -105,7 +105,7 @@ def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
     if min(int((view.mask > 0.5).sum()) for view in views) < FEWEST_PIXELS:
         return None
     dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
-    target = dense[farthest_point_sample(dense, len(case.target))]
+    target = farthest_point_subset(dense, len(case.target))
     return replace(case, views=views, dense=dense, target=target)
 
 

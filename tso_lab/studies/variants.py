@@ -161,8 +161,8 @@ def _means(cases: Cases) -> Record:
         row: Record = {}
         for key in ("forward", "backward", "visible", "occluded"):
             values = [case["capnet"][name][key] for case in cases]
-            distances = [value for value in values if value is not None]
-            row[key] = mean(distances) if distances else None
+            numbers = [value for value in values if value is not None]
+            row[key] = mean(numbers) if numbers else None
         row["chamfer"] = float(chamfer.mean())
         if name != "before":
             before, shapes = capnet["before"], [case["shape"] for case in cases]
