@@ -11,7 +11,6 @@ import numpy as np
 
 from tso_cli.evaluation.footprint import Solid, common_window, in_window
 from tso_cli.geometry.points import Array, scattered
-from tso_cli.io.output import check_output
 from tso_cli.plots.style import BETTER, COLOURS, INK, WORSE, page
 
 if TYPE_CHECKING:
@@ -130,19 +129,6 @@ def _draw_panel(axis: Any, panel: Panel, names: list[str], rng: np.random.Genera
     axis.set_title(panel.title, fontsize=9)
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.tick_params(labelsize=8)
-
-
-def pictures_at(
-    path: Path | None, overwrite: bool, rows_of: Callable[[Any], Sequence[tuple[str, Case, Array]]]
-) -> Callable[[Any], None]:
-    """A function that draws the rows of a record at ``path``, if there is one.
-
-    Raises InputError at once if ``path`` cannot be written to.
-    """
-    if path is None:
-        return lambda record: None
-    check_output(path, overwrite)
-    return lambda record: draw_cases(path, rows_of(record), overwrite)
 
 
 def draw_cases(

@@ -13,10 +13,11 @@ import numpy as np
 from tso_cli.evaluation.footprint import IOU_MEANS
 from tso_cli.evaluation.metrics import chamfer, f_score
 from tso_cli.geometry.points import Array
+from tso_cli.io.output import check_output
 from tso_cli.io.shipped import default_checkpoint
 
 from .. import options
-from ..charts import Panel, pictures_at, ratios
+from ..charts import Panel, draw_cases, ratios
 from ..harm.scenes import STARTS, Gallery, gallery
 from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, claim
@@ -114,8 +115,15 @@ def plan(
             numbers = range(start, min(start + CASES_A_CALL, len(scenes.shapes)))
             shared = {"kind": UNSEEN, "shape": scenes.shape(start).name, "view": view}
             jobs.append((shared, partial(refine_unseen, scenes, numbers, view)))
-    extremes = partial(_extremes, builder=builder, shapes=shapes, variant=variants[DEFAULT])
-    return Plan(settings, jobs, finish=pictures_at(pictures, progress.overwrite, extremes))
+    if pictures is None:
+        return Plan(settings, jobs)
+    check_output(pictures, progress.overwrite)
+
+    def draw_extremes(record: Record) -> None:
+        rows = _extremes(record, builder, shapes, variants[DEFAULT])
+        draw_cases(pictures, rows, progress.overwrite)
+
+    return Plan(settings, jobs, finish=draw_extremes)
 
 
 def unseen_case(scenes: Gallery, number: int, view: int) -> Case:
@@ -400,7 +408,9 @@ STUDY = Study(
         options.PRIOR,
         options.UNSEEN,
         option("--ablation", "Change one ingredient of the default preset at a time.", bool, False),
-        options.pictures("the worst and the median case of each category"),
+        option(
+            "--pictures", "Draw the worst and the median case of each category here (.png).", Path
+        ),
     ),
     plan=plan,
     conclude=conclude,
