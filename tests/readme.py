@@ -202,7 +202,7 @@ def prior() -> str:
 
 def aims() -> str:
     """Aims of the default, what it comes to, and what an oracle does; ratios of means."""
-    from tso_lab.studies.accuracy_claims import AIMS, ALL
+    from tso_lab.studies.accuracy import AIMS, ALL
 
     rows = []
     for kind, of_kind in AIMS.items():

@@ -11,11 +11,11 @@ import numpy as np
 
 from tso_cli.evaluation.footprint import Solid, common_window, in_window
 from tso_cli.geometry.points import Array, scattered
-from tso_cli.io.output import check_output
 from tso_cli.plots.style import BETTER, COLOURS, INK, WORSE, page
 
 if TYPE_CHECKING:
     from .studies.cases import Case
+    from .study import Draw
 
 Rows = Mapping[str, Mapping[str, Mapping[str, float | None]]]
 """Title of a panel -> label of a group of bars -> label of a bar -> value."""
@@ -30,37 +30,45 @@ SIDES = {
 }
 
 
-def draw_bars(path: Path, panels: Rows, overwrite: bool = False, log: bool = False) -> None:
-    """One panel below the other, a group of bars for each row.
+def bars(panels: Callable[[Any], Rows], log: bool = False) -> Draw:
+    """What draws a record's ``panels`` one below the other, a group of bars for each row."""
 
-    Raises InputError if ``path`` cannot be written to.
-    """
-    from matplotlib import colormaps
+    def draw(path: Path, record: Any, overwrite: bool = False) -> None:
+        from matplotlib import colormaps
 
-    bars_of = {
-        title: list(dict.fromkeys(bar for row in rows.values() for bar in row))
-        for title, rows in panels.items()
-    }
-    heights = [0.6 + (0.2 + 0.13 * len(bars_of[title])) * len(panels[title]) for title in panels]
-    with page(path, overwrite, (8.6, sum(heights)), dpi=100) as figure:
-        axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=heights)[:, 0]
-        for axis, (title, rows) in zip(axes, panels.items(), strict=True):
-            labels = bars_of[title]
-            shades = colormaps["viridis"](np.linspace(0.0, 0.95, len(labels)))
-            colours = COLOURS if len(labels) <= len(COLOURS) else shades
-            height = 0.8 / len(labels)
-            for j, label in enumerate(labels):
-                places = np.arange(len(rows)) + (j - (len(labels) - 1) / 2) * height
-                values = np.array([row.get(label) for row in rows.values()], dtype=float)
-                bars = axis.barh(places, values, 0.9 * height, color=colours[j], label=label)
-                texts = ["" if np.isnan(value) else digits(value) for value in values]
-                axis.bar_label(bars, texts, fontsize=7, padding=3)
-            axis.set_yticks(range(len(rows)), list(rows), fontsize=8)
-            axis.invert_yaxis()
-            axis.margins(x=0.1)
-            axis.set_xscale("log" if log else "linear")
-            axis.set_title(title, fontsize=9)
-            axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        titles = panels(record)
+        bars_of = {
+            title: list(dict.fromkeys(bar for row in rows.values() for bar in row))
+            for title, rows in titles.items()
+        }
+        heights = [
+            0.6 + (0.2 + 0.13 * len(bars_of[title])) * len(titles[title]) for title in titles
+        ]
+        with page(path, overwrite, (8.6, sum(heights)), dpi=100) as figure:
+            axes = figure.subplots(len(titles), 1, squeeze=False, height_ratios=heights)[:, 0]
+            for axis, (title, rows) in zip(axes, titles.items(), strict=True):
+                labels = bars_of[title]
+                shades = colormaps["viridis"](np.linspace(0.0, 0.95, len(labels)))
+                colours = COLOURS if len(labels) <= len(COLOURS) else shades
+                height = 0.8 / len(labels)
+                for j, label in enumerate(labels):
+                    places = np.arange(len(rows)) + (j - (len(labels) - 1) / 2) * height
+                    values = np.array([row.get(label) for row in rows.values()], dtype=float)
+                    drawn = axis.barh(places, values, 0.9 * height, color=colours[j], label=label)
+                    texts = ["" if np.isnan(value) else digits(value) for value in values]
+                    axis.bar_label(drawn, texts, fontsize=7, padding=3)
+                axis.set_yticks(range(len(rows)), list(rows), fontsize=8)
+                axis.invert_yaxis()
+                axis.margins(x=0.1)
+                axis.set_xscale("log" if log else "linear")
+                axis.set_title(title, fontsize=9)
+                legend_beside(axis)
+
+    return draw
+
+
+def legend_beside(axis: Any) -> None:
+    axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
 
 
 def digits(value: float) -> str:
@@ -80,23 +88,31 @@ class Panel:
     references: Mapping[str, float] = field(default_factory=dict)
 
 
-def draw_ratios(path: Path, grid: Sequence[Sequence[Panel]], overwrite: bool) -> None:
-    """Rows of panels that share their labels; red dots are cases that got worse."""
-    labels = [list(dict.fromkeys(label for panel in row for label in panel.rows)) for row in grid]
-    heights = [0.5 + ROW_HEIGHT * len(names) for names in labels]
-    columns = max(map(len, grid))
-    rng = np.random.default_rng(0)
-    with page(path, overwrite, (2.5 + 2.4 * columns, 0.4 + sum(heights)), dpi=100) as figure:
-        axes = figure.subplots(len(grid), columns, squeeze=False, height_ratios=heights)
-        for axis in axes.flat:
-            axis.set_yticks([])
-        for row, names, panels in zip(axes, labels, grid, strict=True):
-            for axis, panel in zip(row, panels, strict=False):
-                _draw_panel(axis, panel, names, rng)
-            for axis in row[len(panels) :]:
-                axis.set_xticks([])
-            row[0].set_yticks(range(len(names)), names, fontsize=7)
-        figure.supxlabel("Chamfer after / before of each case, and their mean", fontsize=9)
+def ratios(grid: Callable[[Any], Sequence[Sequence[Panel]]]) -> Draw:
+    """What draws a record's ``grid``: rows of panels that share their labels.
+
+    Red dots are cases that got worse.
+    """
+
+    def draw(path: Path, record: Any, overwrite: bool = False) -> None:
+        rows = grid(record)
+        labels = [list(dict.fromkeys(name for panel in row for name in panel.rows)) for row in rows]
+        heights = [0.5 + ROW_HEIGHT * len(names) for names in labels]
+        columns = max(map(len, rows))
+        rng = np.random.default_rng(0)
+        with page(path, overwrite, (2.5 + 2.4 * columns, 0.4 + sum(heights)), dpi=100) as figure:
+            axes = figure.subplots(len(rows), columns, squeeze=False, height_ratios=heights)
+            for axis in axes.flat:
+                axis.set_yticks([])
+            for row, names, panels in zip(axes, labels, rows, strict=True):
+                for axis, panel in zip(row, panels, strict=False):
+                    _draw_panel(axis, panel, names, rng)
+                for axis in row[len(panels) :]:
+                    axis.set_xticks([])
+                row[0].set_yticks(range(len(names)), names, fontsize=7)
+            figure.supxlabel("Chamfer after / before of each case, and their mean", fontsize=9)
+
+    return draw
 
 
 def _draw_panel(axis: Any, panel: Panel, names: list[str], rng: np.random.Generator) -> None:
@@ -113,19 +129,6 @@ def _draw_panel(axis: Any, panel: Panel, names: list[str], rng: np.random.Genera
     axis.set_title(panel.title, fontsize=9)
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.tick_params(labelsize=8)
-
-
-def pictures_at(
-    path: Path | None, overwrite: bool, rows_of: Callable[[Any], Sequence[tuple[str, Case, Array]]]
-) -> Callable[[Any], None]:
-    """A function that draws the rows of a record at ``path``, if there is one.
-
-    Raises InputError at once if ``path`` cannot be written to.
-    """
-    if path is None:
-        return lambda record: None
-    check_output(path, overwrite)
-    return lambda record: draw_cases(path, rows_of(record), overwrite)
 
 
 def draw_cases(

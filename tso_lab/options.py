@@ -72,7 +72,3 @@ def categories(*default: str, note: str = "3, or all of --split") -> Declared:
 
 def views(default: int) -> Declared:
     return option("--views", "Random views of each shape.", int, default, least=1)
-
-
-def pictures(what: str) -> Declared:
-    return option("--pictures", f"Draw {what} here (.png).", Path)

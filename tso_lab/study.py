@@ -5,21 +5,27 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from tso_cli.errors import InputError
+from tso_cli.errors import InputError, Interrupted
 from tso_cli.io.output import reason
 from tso_cli.option import Declared
 from tso_cli.plots.table import Cell, text_table
 from tso_cli.version import __version__
 
-from .studies import QUESTIONS
+from .studies import WORDS
 
+if TYPE_CHECKING:
+    from .studies.shapes import Shape
+
+T = TypeVar("T")
 Record = dict[str, Any]
 Cases = list[Record]
+Draw = Callable[[Path, Record, bool], None]
 Report = Callable[[str, int, int], None]
 """Called with (what is being done, done, total)."""
 
@@ -105,27 +111,38 @@ class Plan:
 class Study:
     """A question to the method.
 
-    ``plan`` says what to do for ``options``; ``conclude`` says what all cases together mean.
-    ``about`` is the help of the command, below the question. ``parts`` are the parts of the method
-    whose `fingerprint` the record keeps. ``tables`` and ``draw`` (path, record, overwrite) show a
-    record; ``reading`` says on its page how to read it.
+    Its words are in `studies/words.toml`; ``values`` are those that the words name in braces, and
+    ``more_convention`` is added to theirs. ``plan`` says what to do for ``options``; ``conclude``
+    says what all cases together mean. ``parts`` are the parts of the method whose `fingerprint`
+    the record keeps. ``tables`` and ``draw`` (path, record, overwrite) show a record.
     """
 
     name: str
-    about: str = ""
+    values: Record = field(default_factory=dict)
+    more_convention: Record = field(default_factory=dict)
     parts: tuple[str, ...]
     tables: Callable[[Record], list[Table]]
-    draw: Callable[[Path, Record, bool], None]
-    reading: str
-    convention: Record
+    draw: Draw
     options: tuple[Declared, ...]
     plan: Callable[..., Plan]
     conclude: Callable[[Cases], Record]
 
     @property
     def question(self) -> str:
-        text = QUESTIONS[self.name][1].removeprefix("Paper: ")
+        text: str = WORDS[self.name]["question"].removeprefix("Paper: ")
         return text[0].upper() + text[1:]
+
+    @property
+    def about(self) -> str:
+        """The help of the command, below the question."""
+        text: str = WORDS[self.name]["about"]
+        return text.format_map(self.values) if self.values else text
+
+    @property
+    def convention(self) -> Record:
+        """What the figures of the record mean."""
+        texts = WORDS[self.name]["convention"].items()
+        return {key: text.format_map(self.values) for key, text in texts} | self.more_convention
 
     @property
     def command(self) -> str:
@@ -139,12 +156,12 @@ class Study:
         began = time.monotonic()
         plan = self.plan(progress, **options)
         cases = self._earlier_cases(progress, plan.settings)
-        record = self._checked_record(plan, cases, progress, began)
+        record = self._record(plan, cases, progress, began)
         progress.keep(record)
         for number, (shared, make_cases) in enumerate(plan.jobs, 1):
             if not _has_cases_of(shared, cases):
                 cases = [*cases, *make_cases()]
-                record = self._checked_record(plan, cases, progress, began)
+                record = self._record(plan, cases, progress, began)
                 progress.keep(record)
             progress.report(plan.doing, number, len(plan.jobs))
         plan.finish(record)
@@ -156,23 +173,24 @@ class Study:
         words = {"convention": self.convention, "command": self.command + options}
         return {**record, **words, **self.conclude(record["cases"])}
 
-    def _checked_record(self, plan: Plan, cases: Cases, progress: Progress, began: float) -> Record:
-        """The record; raises InputError where cases of an earlier record are damaged."""
-        if progress.earlier is None:
-            return self._record(plan, cases, time.monotonic() - began)
-        with undamaged(progress.source):
-            seconds = progress.earlier.get("seconds", 0.0) + time.monotonic() - began
-            record = self._record(plan, cases, seconds)
-            for table in self.tables(record) if record["complete"] else ():
+    def _record(self, plan: Plan, cases: Cases, progress: Progress, began: float) -> Record:
+        """The record so far; InputError where cases of an earlier record are damaged."""
+        complete = all(_has_cases_of(shared, cases) for shared, _ in plan.jobs)
+        earlier = progress.earlier or {}
+        with undamaged(progress.source) if earlier else nullcontext():
+            record = {
+                "study": self.name,
+                "version": __version__,
+                "convention": self.convention,
+                "complete": complete,
+                "seconds": earlier.get("seconds", 0.0) + time.monotonic() - began,
+                "settings": plan.settings,
+                **(self.conclude(cases) if complete else {}),
+                "cases": cases,
+            }
+            for table in self.tables(record) if earlier and complete else ():
                 table.text()
         return record
-
-    def _record(self, plan: Plan, cases: Cases, seconds: float) -> Record:
-        complete = all(_has_cases_of(shared, cases) for shared, _ in plan.jobs)
-        head = {"study": self.name, "version": __version__, "convention": self.convention}
-        state = {"complete": complete, "seconds": seconds, "settings": plan.settings}
-        conclusions = self.conclude(cases) if complete else {}
-        return {**head, **state, **conclusions, "cases": cases}
 
     def _earlier_cases(self, progress: Progress, settings: Record) -> Cases:
         if progress.earlier is None:
@@ -184,9 +202,34 @@ class Study:
         # In JSON tuples are lists.
         for key, value in json.loads(json.dumps(settings)).items():
             if before.get(key) != value:
-                found = f"{text} has {key} {before.get(key)!r}, now it is {value!r}"
-                raise InputError(f"{found}; expected the same")
+                raise InputError(
+                    f"{text} has {key} {before.get(key)!r}, now it is {value!r}; expected the same"
+                )
         return cases
+
+
+def by_shape(
+    settings: Record,
+    shapes: Sequence[Shape],
+    make_cases: Callable[[Shape], Cases],
+    doing: str = "refining",
+) -> Plan:
+    """A job for each shape; the settings name the shapes."""
+    settings = {**settings, "shapes": [shape.name for shape in shapes]}
+    jobs = [({"shape": shape.name}, partial(make_cases, shape)) for shape in shapes]
+    return Plan(settings, jobs, doing)
+
+
+def uninterrupted(result: T) -> T:
+    """What `refine`, an item of `refine_batch` or `train` returned.
+
+    Raises KeyboardInterrupt where Ctrl-C ended it: those functions keep the best so far, and no
+    number is to be made of that.
+    """
+    outcome = getattr(result, "fit", result)
+    if getattr(outcome, "stop_reason", "") == "interrupted" or isinstance(result, Interrupted):
+        raise KeyboardInterrupt
+    return result
 
 
 def _has_cases_of(shared: Record, cases: Cases) -> bool:
@@ -215,7 +258,7 @@ def page(study: Study, record: Record, file_name: str, more_charts: Sequence[str
     parts = [
         f"# {study.question}",
         f"    {record.get('command', study.command)} -o {file_name}",
-        study.reading,
+        WORDS[study.name]["reading"],
         f"![{study.question}]({file_name.removesuffix('.json')}.png)",
         *(f"![{name}]({name})" for name in more_charts),
         *(table.markdown() for table in study.tables(record)),

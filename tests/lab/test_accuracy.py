@@ -17,7 +17,7 @@ from tso_cli.scene.load import load_points_scene
 from tso_lab.harm.scenes import gallery
 from tso_lab.studies import accuracy
 from tso_lab.studies.accuracy import conclude
-from tso_lab.studies.refining import ABLATION, COMBINED, POINTS, with_prior
+from tso_lab.studies.cases import ABLATION, COMBINED, POINTS, with_prior
 from tso_lab.studies.shapes import prior_hash
 
 
@@ -26,13 +26,14 @@ def test_a_case_of_a_kind_in_no_list_starts_as_the_warped_truth(tmp_path):
     shutil.copy(examples_folder() / "meshes" / "car" / name, tmp_path / name)
     (tmp_path / "index.csv").write_text(f"file,category\n{name},police car\n")
     scenes = gallery(None, None, "", tmp_path, 0)
-    (case,) = accuracy.refine_unseen(scenes, range(1), 3, {"best": POINTS["best"]})
+    start = accuracy.unseen_case(scenes, 0, 3)
+    (case,) = accuracy.refine_cases([start], {"best": POINTS["best"]})
     assert (case["kind"], case["category"], case["view"]) == ("unseen", "other kinds", 3)
     assert case["shape"] == f"police car/{tmp_path.name}/qreal_Cop"
     before = case["before"]
     assert before["floor"] < 0.3 * before["chamfer"]
     assert case["bound"] < before["chamfer"]
-    assert len(accuracy.unseen_case(scenes, 0, 3).views) == 4
+    assert len(start.views) == 4
 
 
 @pytest.mark.slow

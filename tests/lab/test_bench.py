@@ -17,7 +17,7 @@ from PIL import Image
 from tso_cli.errors import TsoError
 from tso_cli.losses.chamfer import ChamferToStart
 from tso_cli.losses.silhouette import silhouette_sums
-from tso_lab.bench import kernels, refining, speed, timing
+from tso_lab.bench import speed, timing
 from tso_lab.bench.timing import Contestant, Setting, record, timed
 from tso_lab.commands import tools
 from tso_lab.study import Plan
@@ -25,7 +25,6 @@ from tso_lab.study import Plan
 from ..training import make_known
 
 SETTING = Setting(budget=1e-9, least_runs=1)
-KERNELS = {"silhouette": [(64, 16), (128, 32)], "chamfer": [64, 128]}
 
 
 @pytest.fixture(scope="module")
@@ -33,17 +32,22 @@ def measured():
     """Every part at sizes that take little time; whole processes are replaced by one second."""
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("MORE_VIEWS", (2,)), ("DIFFERENT", 1), ("CORES", 2), ("SPIN", "")):
-            patch.setattr(refining, name, value)
-        patch.setattr(refining, "WITH_NEIGHBOUR", 2)
-        patch.setattr(refining, "IMPORT_TORCH", Contestant("import torch", lambda: 1.0))
-        patch.setattr(refining, "process", lambda *of: lambda: 1.0)
+            patch.setattr(speed, name, value)
+        patch.setattr(speed, "WITH_NEIGHBOUR", 2)
+        patch.setattr(speed, "IMPORT_TORCH", Contestant("import torch", lambda: 1.0))
+        patch.setattr(speed, "process", lambda *of: lambda: 1.0)
         batches = {("paper", 64, 1): (2, 3), ("best", 64, 2): (3,)}
         return [
-            *refining.measure_command(SETTING),
-            *refining.measure_object(SETTING, (64,), 128, steps=1),
-            *refining.measure_batch(SETTING, batches, steps=1),
-            *kernels.measure_silhouette(SETTING, KERNELS["silhouette"]),
-            *kernels.measure_chamfer(SETTING, KERNELS["chamfer"]),
+            row
+            for what, races in {
+                "command": speed.commands(0),
+                "object": speed.objects(0, (64,), 128, steps=1),
+                "batch": speed.batches(0, batches, steps=1),
+                "silhouette": speed.silhouettes(0, [(64, 16), (128, 32)]),
+                "chamfer": speed.chamfers(0, [64, 128]),
+            }.items()
+            for race in races
+            for row in SETTING.race(what, race, speed.PARTS[what][1])
         ]
 
 
@@ -132,7 +136,8 @@ def test_claims_separate_met_targets_from_missed_ones(what, name, seconds, field
 
 
 def test_the_large_files_are_refined_and_their_memory_is_that_of_the_process():
-    rows = refining.measure_large(SETTING, 2000, 2000, 2000)
+    for race in speed.large_files(0, 2000, 2000, 2000):
+        rows = SETTING.race("large", race, speed.OVER_TORCH)
     assert [row["name"] for row in rows] == ["import torch", "scan", "splats", "mesh"]
     assert rows[3]["points"] >= 2000
     if sys.platform == "linux":
@@ -141,21 +146,21 @@ def test_the_large_files_are_refined_and_their_memory_is_that_of_the_process():
 
 
 def test_the_scatter_computes_the_same_loss_where_points_cover_the_mask():
-    points_px, _ = kernels.scene(2048, 24)
+    points_px, _ = speed.picture(2048, 24)
     sums = silhouette_sums(points_px, np.ones(2048, bool), 24, 24, 0.4)
     # The clamp hides silhouettes nearer to 0 or 1 than 1e-6.
     drawn, mask = np.tanh(sums).clip(1e-6, 1.0 - 1e-6), (sums > 0.5) & (sums < 2.0)
     expected = -np.log(np.where(mask, drawn, 1.0 - drawn)).sum()
     target = torch.as_tensor(mask, dtype=torch.float32)
-    assert kernels.scattered_loss(points_px, target)[0] == pytest.approx(expected, rel=2e-3)
+    assert speed.scattered_loss(points_px, target)[0] == pytest.approx(expected, rel=2e-3)
 
 
 def test_every_contestant_computes_the_same_chamfer_distance_and_gradient():
-    initial = refining.cloud(200)
+    initial = speed.cloud(200)
     # Far enough that many nearest neighbours change.
     moved = initial + np.random.default_rng(0).normal(scale=0.05, size=initial.shape)
     expected, by_points = ChamferToStart(initial)(moved)
-    for name, term in kernels.terms(initial).items():
+    for name, term in speed.terms(initial).items():
         value, gradient = term(moved)
         assert value == pytest.approx(expected, rel=1e-3), name
         np.testing.assert_allclose(gradient, by_points, rtol=1e-3, atol=1e-6, err_msg=name)
@@ -205,19 +210,19 @@ def test_number_of_cores_is_as_before_after_the_work(monkeypatch, before):
     if before:
         monkeypatch.setenv("OMP_NUM_THREADS", before)
     seen = []
-    refining.on_cores(timed(lambda: seen.append(os.environ["OMP_NUM_THREADS"])), 2)()
+    speed.on_cores(timed(lambda: seen.append(os.environ["OMP_NUM_THREADS"])), 2)()
     assert (seen, os.environ.get("OMP_NUM_THREADS")) == (["2"], before)
 
 
 def test_a_busy_neighbour_is_gone_after_the_work():
-    with refining.busy_neighbour() as spinners:
+    with speed.busy_neighbour() as spinners:
         assert all(spinner.poll() is None for spinner in spinners)
     assert all(spinner.poll() is not None for spinner in spinners)
 
 
 def test_a_process_that_fails_is_not_timed():
     with pytest.raises(TsoError, match=r"wrong: ended with exit code 2, saying .*No such command"):
-        timing.process("wrong", (*refining.TSO, "nothing"))()
+        timing.process("wrong", (*speed.TSO, "nothing"))()
 
 
 def test_a_first_run_finds_no_byte_code(tmp_path):
@@ -226,7 +231,7 @@ def test_a_first_run_finds_no_byte_code(tmp_path):
     assert environment["PYTHONPATH"] == str(fresh)
     assert (fresh / "tso_cli" / "cli.py").exists()
     assert not [path for path in fresh.rglob("*") if path.suffix == ".pyc"]
-    assert timing.process("tso --version", (*refining.TSO, "--version"), timing.never_run)() > 0.0
+    assert timing.process("tso --version", (*speed.TSO, "--version"), timing.never_run)() > 0.0
 
 
 def test_an_installation_is_smaller_without_the_packages_of_networks():
@@ -237,7 +242,7 @@ def test_an_installation_is_smaller_without_the_packages_of_networks():
 
 
 def test_the_process_whose_memory_is_measured_imports_no_torch():
-    program = "import sys, tso_lab.bench.refining; sys.exit('torch' in sys.modules)"
+    program = "import sys, tso_lab.bench.timing; sys.exit('torch' in sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True)
 
 
@@ -247,7 +252,7 @@ def test_the_process_whose_memory_is_measured_imports_no_torch():
 def test_the_command_writes_record_page_and_chart(tso, measured, tmp_path, monkeypatch):
     make_known(monkeypatch)
     settings = {
-        "machine": speed.machine(),
+        "machine": timing.machine(),
         "installed_MB": {"in all": 1},
         "versions": {},
         "seed": 0,
@@ -272,7 +277,8 @@ def test_the_command_writes_record_page_and_chart(tso, measured, tmp_path, monke
 
 
 def test_a_part_is_measured_on_one_thread(monkeypatch):
-    monkeypatch.setattr(
-        kernels, "measure_chamfer", lambda setting: [{"threads": torch.get_num_threads()}]
-    )
-    assert speed.measure("chamfer", SETTING) == [{"threads": 1}]
+    threads = []
+    races = lambda seed: [[Contestant("a", lambda: threads.append(torch.get_num_threads()) or 1.0)]]  # noqa: E731
+    monkeypatch.setitem(speed.PARTS, "chamfer", (races, "over_tso"))
+    speed.measure("chamfer", SETTING)
+    assert set(threads) == {1}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tso_cli.errors import InputError
-from tso_lab.harm.runs import altered
 from tso_lab.harm.scenes import gallery
+from tso_lab.harm.study import altered
 from tso_lab.harm.troubles import TROUBLE
 from tso_lab.studies import confidence
 from tso_lab.study import Progress

@@ -10,7 +10,7 @@ from tso_cli.train.batches import Batch, Drawing, draw_batch
 from tso_cli.train.data import TrainingData
 from tso_cli.train.loop import start, train
 from tso_cli.train.losses import mask_loss
-from tso_lab.studies.discretised import (
+from tso_lab.studies.paper_measures import (
     DEPTH,
     PLAIN,
     depth_loss,

@@ -7,23 +7,22 @@ import pytest
 
 from tso_cli.optimisation.symmetry import find_mirror_plane
 from tso_cli.refinement import RefineConfig
-from tso_lab.studies.cases import CaseBuilder
+from tso_lab.studies.cases import CaseBuilder, Variant
 from tso_lab.studies.evidence import (
+    MAPS,
     PLANES,
     Question,
+    Truth,
     conclude,
     no_plane,
     refine_rows,
     tables,
-)
-from tso_lab.studies.evidence_alterations import (
-    Truth,
     unaltered,
     with_depth,
+    with_fov,
+    with_map,
     without,
 )
-from tso_lab.studies.evidence_maps import MAPS, with_fov, with_map
-from tso_lab.studies.refining import Variant
 from tso_lab.studies.shapes import shapes_of_part
 
 from .studying import MESHES, VALIDATION, rng

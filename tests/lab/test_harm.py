@@ -15,10 +15,22 @@ from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.points import longest_side
 from tso_cli.geometry.rotations import angle_between
 from tso_cli.refinement import RefineConfig
-from tso_lab.harm import runs
-from tso_lab.harm.runs import GAINED, KEPT, SAID, SILENT, WITHHELD, altered, became, scenes_of
+from tso_lab.harm import study as runs
 from tso_lab.harm.scenes import SIDES, gallery, unseen_shapes, warped
-from tso_lab.harm.study import STUDY, conclude, figures, plan
+from tso_lab.harm.study import (
+    GAINED,
+    KEPT,
+    SAID,
+    SILENT,
+    STUDY,
+    WITHHELD,
+    altered,
+    became,
+    conclude,
+    figures,
+    plan,
+    scenes_of,
+)
 from tso_lab.harm.troubles import FLOOR_SHARES, TROUBLE, TROUBLES
 from tso_lab.study import Progress
 

@@ -8,12 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tso_cli.refinement import refine
-from tso_lab.bench.pareto import conclude, front
-from tso_lab.bench.pareto_chart import lines
+from tso_lab.bench.pareto import DEFAULT, PAPER, WAYS, conclude, front, lines
 from tso_lab.bench.peers import PEERS
-from tso_lab.bench.ways import DEFAULT, PAPER, WAYS
-from tso_lab.studies.refining import PAPER as PAPER_PRESET
-from tso_lab.studies.refining import POINTS
+from tso_lab.studies.cases import PAPER as PAPER_PRESET
+from tso_lab.studies.cases import POINTS
 
 from .studying import holding
 

@@ -49,12 +49,13 @@ def test_a_prior_that_moves_nothing_leaves_the_whole_error_under_each_condition(
     monkeypatch.setattr(priors, "JUDGED_BATCHES", 2)
     bank = build_bank(read_shapes(examples_folder() / "meshes"), 12, 0)
     weights = {name: torch.tensor(array) for name, array in initial(0).items()}
-    rows = priors._Rows.of(weights, bank)
-    assert not (rows.other & rows.near).any()
-    for held, left in rows.conditions().values():
-        np.testing.assert_allclose(left[held & rows.other], 1.0, atol=1e-5)
-    assert sum(held.sum() for held, _ in rows.conditions().values()) > 64
-    doubts = rows.doubts()
+    of = priors.outcomes(weights, bank)
+    assert not (of[priors.OTHER] & of[priors.NEAR]).any()
+    for condition, column in priors.CONDITIONS.items():
+        left = of["left"][of[condition] & of[priors.OTHER], column]
+        np.testing.assert_allclose(left, 1.0, atol=1e-5)
+    assert sum(of[condition].sum() for condition in priors.CONDITIONS) > 64
+    doubts = priors.doubts(of)
     assert list(doubts) == [*TROUBLES, "a foreign cell"]
     # It says one half of everything.
     assert doubts["plane"]["error"] == pytest.approx(0.5 - doubts["plane"]["frequency"], abs=1e-4)

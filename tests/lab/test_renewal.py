@@ -50,8 +50,8 @@ WRITE = (
 def test_two_run_at_once_but_those_alone_and_one_that_fails_stops_none(
     tmp_path, monkeypatch, capsys
 ):
-    def command(one, folder, given, scratch):
-        return [[sys.executable, "-c", WRITE, str(folder / one.kept.name), one.kept.name]]
+    def command(record, folder, folders, scratch):
+        return [[sys.executable, "-c", WRITE, str(folder / record.kept.name), record.kept.name]]
 
     monkeypatch.setattr(renewal, "commands", command)
     due = [Due(Kept(name, "", alone=name > "c"), "it is missing") for name in "abcde"]

@@ -7,8 +7,8 @@ import pytest
 
 from tso_cli.losses.silhouette import silhouette_of
 from tso_cli.render.settings import RenderSettings
+from tso_lab.studies.paper import SIGMAS, conclude_sigma, mask_errors
 from tso_lab.studies.shapes import Shape, see
-from tso_lab.studies.sigma import SIGMAS, conclude, mask_errors
 
 from .studying import MESHES, holding
 
@@ -35,7 +35,7 @@ def test_aeroplanes_need_a_narrower_gaussian_than_cars_and_the_paper_is_near_the
     for case in cases:  # a wider Gaussian leaves fewer holes and reaches farther
         assert (np.diff(case["missing"]) < 0.0).all()
         assert (np.diff(case["stray"]) > 0.0).all()
-    record = conclude([*cases, {**cases[0], "category": "tricycle"}])
+    record = conclude_sigma([*cases, {**cases[0], "category": "tricycle"}])
     summary = record["summary"]
     assert summary["airplane"]["best"] < summary["car"]["best"]
     for row in (summary["airplane"], summary["car"]):

@@ -14,12 +14,12 @@ from PIL import Image
 from tso_cli.errors import InputError
 from tso_cli.refinement import RefineConfig
 from tso_lab import options
+from tso_lab.bench.pareto import DEFAULT, PAPER, WAYS
 from tso_lab.bench.peers import PEERS
-from tso_lab.bench.ways import DEFAULT, PAPER, WAYS
 from tso_lab.commands import tools
 from tso_lab.harm.troubles import TROUBLE
 from tso_lab.options import option
-from tso_lab.studies import evidence, fingerprint, pose, refining
+from tso_lab.studies import WORDS, cases, evidence, fingerprint, pose
 from tso_lab.study import Plan, Progress, Study, Table, claim, page
 
 from ..readme import RECORDS
@@ -42,12 +42,9 @@ def tables(record: dict[str, Any]) -> list[Table]:
 CLAIMS = [claim("sizes grow", True, "2 > 1"), claim("sizes shrink", False, "2 > 1")]
 TOY = Study(
     name="pose",
-    about="Sizes of toys.",
     parts=("camera fit",),
     tables=tables,
     draw=lambda path, record, overwrite: path.write_bytes(b"chart"),
-    reading="They are small.",
-    convention={"size": "in cm"},
     options=(
         options.MESHES,
         option("--size", kind=int, default=(1, 2), least=1, multiple=True, name="sizes"),
@@ -128,11 +125,10 @@ def test_the_command_writes_record_chart_and_page_and_goes_on_from_the_record(to
         "# How well is a camera found",
         f"    {record['command']} -o toys.json\n",
         "](toys.png)",
-        "They are small.",
         "### Toys",
         "| size | name |\n| --- | --- |\n| 0.333 | car |",
         "- holds: sizes grow (2 > 1)\n- target missed: sizes shrink (2 > 1)",
-        "- size: in cm",
+        "- degrees: angle between",
     ):
         assert part in text
     assert "exists already" in call("-o", output).refusal
@@ -178,7 +174,7 @@ def test_the_cases_of_a_kept_record_give_its_conclusions_and_its_page(path):
     assert (study.name, record["complete"]) == (record["study"], True)
     assert list(record["fingerprint"]) == list(study.parts)
     assert set(study.parts) <= set(fingerprint.PARTS)
-    assert len(study.reading.split()) <= 120
+    assert len(WORDS[study.name]["reading"].split()) <= 120
     for table in study.tables(record):
         assert {len(row) for row in table.rows} == {len(table.header)}
     charts = sorted(chart.name for chart in RECORDS.glob(f"{path.stem}.*.png"))
@@ -188,9 +184,9 @@ def test_the_cases_of_a_kept_record_give_its_conclusions_and_its_page(path):
 
 QUICK = {
     name: replace(variant, config=replace(variant.config, steps=3))
-    for name, variant in refining.POINTS.items()
+    for name, variant in cases.POINTS.items()
 }
-FOUR = refining.Variant(RefineConfig(steps=3), 4)
+FOUR = cases.Variant(RefineConfig(steps=3), 4)
 ROWS = {"whole": (evidence.unaltered, FOUR), "part": (partial(evidence.without, part="side"), FOUR)}
 QUESTION = evidence.Question("Objects that lack a part", ("other",), ROWS, ("chair", "car"))
 WAY_NAMES = (
@@ -203,7 +199,7 @@ WAY_NAMES = (
 )
 QUICK_WAYS = {
     name: replace(way, run=replace(way.run, config=replace(way.run.config, steps=2)))
-    if isinstance(way.run, refining.Variant)
+    if isinstance(way.run, cases.Variant)
     else way
     for name, way in WAYS.items()
     if name in WAY_NAMES

@@ -12,7 +12,7 @@ import pytest
 
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.render.viewpoints import look_at
-from tso_lab.studies import affinity, failures, supervision
+from tso_lab.studies import paper, paper_measures
 from tso_lab.studies.material import (
     ALL,
     DENSE,
@@ -21,7 +21,7 @@ from tso_lab.studies.material import (
     constant_answer,
     distances,
 )
-from tso_lab.studies.trained import Comparison, Setting, masks
+from tso_lab.studies.paper import MASKED, Network
 from tso_lab.study import Progress
 
 from ..training import box_surface
@@ -30,10 +30,10 @@ from .studying import MESHES, SMALL, holding, rng, timeless
 
 def compare(split: Any, progress: Progress | None = None) -> dict[str, Any]:
     """Three networks."""
-    settings = [Setting(f"V = {count}", "car", masks("car", views=count)) for count in (1, 2, 3)]
-    plan = partial(Comparison(2, ("car",), lambda categories: settings).plan, material=SMALL)
+    networks = [Network(f"V = {count}", {**MASKED, "views": count}) for count in (1, 2, 3)]
+    plan = partial(paper.VIEWS.plan, networks=networks, material=SMALL)
     shown = {"conclude": lambda cases: {}, "tables": lambda record: []}
-    compared = replace(supervision.VIEWS, plan=plan, **shown)
+    compared = replace(paper.VIEWS, plan=plan, **shown)
     options = {"meshes": MESHES, "split": split, "part": "test", "categories": (), "limit": 32}
     options |= {"steps": 4, "batch_size": 2, "seed": 0, "device": "cpu"}
     return compared.run(progress or Progress(), **options)
@@ -102,7 +102,7 @@ def test_a_point_two_pixels_off_the_mask_is_an_outlier_and_one_at_its_edge_is_no
     mask = np.zeros((20, 20), np.float32)
     mask[5:10, 5:10] = 1.0
     pixels = np.array([[7.0, 7.0], [10.4, 7.0], [11.2, 7.0], [-30.0, 7.0], [np.nan, np.nan]])
-    assert affinity.outliers(pixels, mask).tolist() == [False, False, True, True, True]
+    assert paper_measures.outliers(pixels, mask).tolist() == [False, False, True, True, True]
 
 
 def plane(nose: float, along: int) -> np.ndarray:
@@ -126,11 +126,11 @@ def plane(nose: float, along: int) -> np.ndarray:
 def test_the_sizes_of_an_aeroplane_are_found_whichever_way_it_points(nose, along):
     true = plane(nose, along)
     across = np.arange(3) == 2 - along
-    sizes = failures.aeroplane_sizes(true * np.where(across, 0.5, 1.0), true)
+    sizes = paper_measures.aeroplane_sizes(true * np.where(across, 0.5, 1.0), true)
     expected = {"body_width": 0.5, "body_height": 1, "span": 0.5, "length": 1}
     assert sizes == pytest.approx(expected, abs=1e-6)
     narrow = true * np.where(across & (np.abs(true[:, across]) <= 0.05), 0.6, 1.0)
-    sizes = failures.aeroplane_sizes(narrow, true)
+    sizes = paper_measures.aeroplane_sizes(narrow, true)
     assert sizes["body_width"] == pytest.approx(0.6, abs=0.01)
     assert sizes["span"] > 0.95
 
@@ -140,8 +140,8 @@ def test_a_cloud_stretched_along_the_line_of_sight_errs_in_depth():
         box_surface(np.array([0.8, 0.4, 1.0]), 2000, rng()),
         look_at(0, 0, 2.0, (64, 64)).R.T,
     )
-    deep = failures.depth_errors(true * [1.0, 1.0, 1.4] @ turn, true @ turn)
-    wide = failures.depth_errors(true * [1.4, 1.0, 1.0] @ turn, true @ turn)
+    deep = paper_measures.depth_errors(true * [1.0, 1.0, 1.4] @ turn, true @ turn)
+    wide = paper_measures.depth_errors(true * [1.4, 1.0, 1.0] @ turn, true @ turn)
     assert deep["extent"] == pytest.approx(1.4, abs=0.01)
     assert deep["depth"] > 3.0 * deep["across"]
     assert wide["across"] > wide["depth"]
@@ -156,33 +156,33 @@ def cases_of(category: str, values: dict[str, float], **more: Any) -> list[dict[
 
 
 def test_a_claim_about_supervision_holds_where_it_holds_in_every_category():
-    kinds = (supervision.POINTS, supervision.MASKS, supervision.DISCRETISED, supervision.LIN)
+    kinds = (paper.POINTS, paper.MASKS, paper.DISCRETISED, paper.LIN)
     cars = dict(zip((*kinds, MEAN_SHAPE), (2.0, 2.8, 4.0, 3.0, 3.05), strict=True))
-    assert holding(supervision.conclude(cases_of("car", cars))) == [True, True, True, True]
+    assert holding(paper.conclude_supervision(cases_of("car", cars))) == [True, True, True, True]
     chairs = cases_of("chair", {name: 9.0 * value for name, value in cars.items()})
-    record = supervision.conclude([*chairs, *cases_of("car", cars | {supervision.MASKS: 3.1})])
+    record = paper.conclude_supervision([*chairs, *cases_of("car", cars | {paper.MASKS: 3.1})])
     assert holding(record) == [True, False, False, False]
     found = record["claims"][1]["found"]
     assert found == "chair 25.20 against 27.45; car 3.10 against 3.05, not there"
 
 
 def test_two_masks_are_better_than_one_only_where_every_seed_says_so():
-    values = {setting.name: 2.0 for setting in supervision.views_settings(["car"])}
+    values = {network.name: 2.0 for network in paper.OF_VIEWS}
     values |= {"V = 1": 4.0, "V = 1, seed + 1": 5.0, "V = 1, seed + 2": 4.0, "V = 3": 2.1}
     values |= {MEAN_SHAPE: 5.0}
-    assert holding(supervision.conclude_views(cases_of("car", values))) == [True, True, True]
+    assert holding(paper.conclude_views(cases_of("car", values))) == [True, True, True]
     values |= {"V = 2, seed + 1": 4.1}
-    record = supervision.conclude_views(cases_of("car", values))
+    record = paper.conclude_views(cases_of("car", values))
     assert holding(record) == [False, False, True]
     assert record["summary"]["car"]["2"] == pytest.approx(2.7)
 
 
 def test_the_papers_lambda_is_the_best_of_its_three():
-    names = [setting.name for setting in affinity.weight_settings(["chair"])]
+    names = [network.name for network in paper.OF_WEIGHTS]
     values = {name: 5.0 + i for i, name in enumerate(names)}
-    assert holding(affinity.conclude_weights(cases_of("chair", values))) == [False, False]
+    assert holding(paper.conclude_lambda(cases_of("chair", values))) == [False, False]
     values |= {name: 1.0 for name in values if name.endswith(", 0.0001")}
-    assert holding(affinity.conclude_weights(cases_of("chair", values))) == [True, True]
+    assert holding(paper.conclude_lambda(cases_of("chair", values))) == [True, True]
 
 
 @pytest.mark.parametrize(
@@ -190,8 +190,8 @@ def test_the_papers_lambda_is_the_best_of_its_three():
 )
 def test_the_failures_show_where_bodies_are_narrow_and_depth_errs_most(widths, depth, holds):
     runs = []
-    for name, width in zip((failures.ALONE_WIDE, failures.ALONE), widths, strict=True):
+    for name, width in zip((paper.ALONE_WIDE, paper.ALONE), widths, strict=True):
         runs += cases_of("airplane", {name: 2.0}, aeroplanes={"body_width": width, "span": 1.0})
-    for name, error in ((failures.ONE, depth), (failures.FOUR, 1e-3)):
+    for name, error in ((paper.ONE, depth), (paper.FOUR, 1e-3)):
         runs += cases_of("car", {name: 2.0}, cars={"depth": error, "across": 1e-3, "extent": 1.0})
-    assert holding(failures.conclude(runs)) == [holds] * 3
+    assert holding(paper.conclude_failures(runs)) == [holds] * 3

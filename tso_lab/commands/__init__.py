@@ -6,7 +6,7 @@ import click
 
 from tso_cli.commands.options import LazyGroup
 
-from ..studies import QUESTIONS
+from ..studies import WORDS
 
 TOOLS = {
     "records": "Make the records again that are due.",
@@ -29,7 +29,7 @@ class StudyGroup(LazyGroup):
 
 
 LINES = {
-    "Studies": {name: ("", question) for name, (_, question) in QUESTIONS.items()},
+    "Studies": {name: ("", words["question"]) for name, words in WORDS.items()},
     "Tools": {name: ("", text) for name, text in TOOLS.items()},
 }
 

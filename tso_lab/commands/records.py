@@ -139,9 +139,9 @@ def command_of(study: Study) -> click.Command:
     ) -> None:
         check_outputs(output, overwrite, resume)
         command_line = _command_line(study, values)
-        for own in study.options:
-            if own.several:
-                values[own.name] = tuple(dict.fromkeys(values[own.name]))
+        for declared in study.options:
+            if declared.several:
+                values[declared.name] = tuple(dict.fromkeys(values[declared.name]))
         if values.get("checkpoint"):
             values["checkpoint"] = named_checkpoint(values["checkpoint"])
             options.log(f"tso: checkpoint: {values['checkpoint']}")
@@ -161,7 +161,7 @@ def command_of(study: Study) -> click.Command:
         else:
             click.echo(answer(study, record))
 
-    parameters = [options.parameter(own) for own in (*study.options, *OF_RECORDS)]
+    parameters = [options.parameter(declared) for declared in (*study.options, *OF_RECORDS)]
     help_text = "\n\n".join(filter(None, (study.question, study.about)))
     return click.Command(study.name, callback=run, params=parameters, help=help_text)
 
@@ -169,13 +169,13 @@ def command_of(study: Study) -> click.Command:
 def _command_line(study: Study, values: dict[str, Any]) -> str:
     """The command line that makes the record; of this machine's paths it has the last names."""
     words = [study.command]
-    for own in study.options:
-        value = values[own.name]
-        if own.flag in FOLDERS and value is not None:
-            words.append(f"{own.flag} DIR")
-        elif own.plain is bool:
-            words += [own.flag] if value else []
-        elif value != own.default:
-            for item in value if own.several else [value]:
-                words.append(f"{own.flag} {item.name if isinstance(item, Path) else item}")
+    for declared in study.options:
+        value = values[declared.name]
+        if declared.flag in FOLDERS and value is not None:
+            words.append(f"{declared.flag} DIR")
+        elif declared.plain is bool:
+            words += [declared.flag] if value else []
+        elif value != declared.default:
+            for item in value if declared.several else [value]:
+                words.append(f"{declared.flag} {item.name if isinstance(item, Path) else item}")
     return " ".join(words)

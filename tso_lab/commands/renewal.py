@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -24,9 +24,8 @@ from ..study import undamaged
 from .records import read_record
 
 PHOTOS = "--photos"
-FOLDER = "DIR"
-"""What stands in a command for a folder that the user names."""
-PROCESS = (sys.executable, "-m", "tso_cli", "lab")
+Folders = Mapping[str, Path | None]
+"""An option such as --meshes -> the folder that stands for DIR in a command."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,8 @@ class Kept:
     alone: bool = False
 
 
+ACCURACY = "tso lab accuracy --meshes DIR --views 1 --unseen DIR"
+TRAINED = "--steps 5000 --batch-size 16 --limit 1000 --device cuda"
 KEPT = (
     Kept("photos", f"temple_ring.py {PHOTOS} DIR"),
     Kept("network", "tso lab network --meshes DIR"),
@@ -48,33 +49,21 @@ KEPT = (
     Kept("confidence", "tso lab confidence --meshes DIR --unseen DIR"),
     Kept("pose", "tso lab pose --meshes DIR --part test"),
     Kept("determined", "tso lab determined --meshes DIR --limit 10"),
-    Kept(
-        "accuracy-ablation",
-        "tso lab accuracy --meshes DIR --views 1 --unseen DIR --ablation",
-    ),
+    Kept("accuracy-ablation", f"{ACCURACY} --ablation"),
     Kept("evidence", "tso lab evidence --meshes DIR --views 1"),
     Kept("harm", "tso lab harm --meshes DIR --unseen DIR --per 9 --variants"),
     Kept("moves", "tso lab moves --meshes DIR --limit 6"),
     Kept("affinity", "tso lab affinity --meshes DIR"),
     Kept("lambda", "tso lab lambda --meshes DIR"),
     Kept("tso", "tso lab tso --meshes DIR"),
-    Kept(
-        "accuracy",
-        "tso lab accuracy --meshes DIR --views 1 --unseen DIR --pictures accuracy.pictures.png",
-    ),
+    Kept("accuracy", f"{ACCURACY} --pictures accuracy.pictures.png"),
     Kept("prior", "tso lab prior --meshes DIR --unseen DIR"),
-    *(
-        Kept(
-            name,
-            f"tso lab {name} --meshes DIR{more} --steps 5000 --batch-size 16 --limit 1000 "
-            "--device cuda",
-        )
-        for name, more in (
-            ("supervision", ""),
-            ("views", " --category airplane --category car --category chair"),
-            ("failures", ""),
-        )
+    Kept("supervision", f"tso lab supervision --meshes DIR {TRAINED}"),
+    Kept(
+        "views",
+        "tso lab views --meshes DIR --category airplane --category car --category chair " + TRAINED,
     ),
+    Kept("failures", f"tso lab failures --meshes DIR {TRAINED}"),
     Kept("scale", "tso lab scale --items 600 --kills 10", alone=True),
     Kept("speed", "tso lab speed", alone=True),
     Kept("pareto", "tso lab pareto --meshes DIR --limit 6", alone=True),
@@ -96,12 +85,12 @@ def all_due(folder: Path, names: Sequence[str] = ()) -> list[Due]:
 
     Raises InputError where a name is of no record, or a file is damaged.
     """
-    known = [kept.name for kept in KEPT]
+    of_name = {kept.name: kept for kept in KEPT}
     for name in names:
-        if name not in known:
-            raise InputError(f"{name!r} is no record, expected some of {', '.join(known)}")
-    asked = (kept for kept in KEPT if not names or kept.name in names)
-    return [due for kept in asked if (due := _due(kept, folder)) is not None]
+        if name not in of_name:
+            raise InputError(f"{name!r} is no record, expected some of {', '.join(of_name)}")
+    reasons = (_due(kept, folder) for kept in KEPT if not names or kept.name in names)
+    return [due for due in reasons if due is not None]
 
 
 def _due(kept: Kept, folder: Path) -> Due | None:
@@ -123,34 +112,34 @@ def _due(kept: Kept, folder: Path) -> Due | None:
     return None
 
 
-def needs(due: Sequence[Due], given: Mapping[str, Path | None]) -> None:
-    """Raise InputError where commands need folders that are not ``given`` (option -> folder)."""
-    for option, value in given.items():
-        asking = [one.kept.name for one in due if option in one.kept.command.split()]
-        if asking and value is None:
+def needs(due: Sequence[Due], folders: Folders) -> None:
+    """Raise InputError where commands need folders that are not there."""
+    for option, folder in folders.items():
+        names = [record.kept.name for record in due if option in record.kept.command.split()]
+        if names and folder is None:
             expected = "expected a folder (or the names of other records)"
-            raise InputError(f"{option} is missing, for {', '.join(asking)}: {expected}")
+            raise InputError(f"{option} is missing, for {', '.join(names)}: {expected}")
 
 
-def make(
-    due: Sequence[Due], folder: Path, given: Mapping[str, Path | None], processes: int
-) -> list[str]:
+def make(due: Sequence[Due], folder: Path, folders: Folders, processes: int) -> list[str]:
     """Make the records, ``processes`` at a time; returns the names of those that failed.
 
     One process takes the dearest that is left, the others the cheapest: so the first records are
     there soon, and the longest does not end alone.
     """
-    waiting = deque(one for one in due if not one.kept.alone)
+    waiting = deque(record for record in due if not record.kept.alone)
     running, failed = set[subprocess.Popen[str]](), list[str]()
 
-    def made(one: Due) -> None:
-        begun, name = time.monotonic(), one.kept.name
-        options.log(f"tso: {name}: {'goes on' if one.resumed else 'begins'}, {one.why}")
+    def make_one(record: Due) -> None:
+        begun, name = time.monotonic(), record.kept.name
+        options.log(f"tso: {name}: {'goes on' if record.resumed else 'begins'}, {record.why}")
+        environment = os.environ | {"PYTHONPATH": str(PACKAGE.parent), "OMP_NUM_THREADS": "1"}
+        if record.kept.alone:
+            environment.pop("OMP_NUM_THREADS")
+        pipes: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
         with tempfile.TemporaryDirectory() as scratch:
-            for words in commands(one, folder, given, Path(scratch)):
-                pipes: Any = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-                environment = _environment(one.kept.alone)
-                process = subprocess.Popen(words, env=environment, text=True, **pipes)
+            for words in commands(record, folder, folders, Path(scratch)):
+                process = subprocess.Popen(words, env=environment, **pipes)
                 running.add(process)
                 said = process.communicate()[1]
                 running.discard(process)
@@ -161,19 +150,18 @@ def make(
                     return
         options.log(f"tso: {name}: made in {(time.monotonic() - begun) / 60.0:.1f} min")
 
-    def work(dearest: bool) -> None:
+    def work(take: Callable[[], Due]) -> None:
         # Another thread may take the last one at any moment.
         with suppress(IndexError):
             while True:
-                one = waiting.pop() if dearest else waiting.popleft()
-                made(one)
+                make_one(take())
 
     with ThreadPoolExecutor(processes) as pool:
         try:
-            list(pool.map(work, (number == 1 for number in range(processes))))
-            for one in due:
-                if one.kept.alone:
-                    made(one)
+            list(pool.map(work, [waiting.pop, *[waiting.popleft] * (processes - 1)]))
+            for record in due:
+                if record.kept.alone:
+                    make_one(record)
         except BaseException:
             waiting.clear()
             for process in list(running):
@@ -182,30 +170,18 @@ def make(
     return failed
 
 
-def commands(
-    one: Due, folder: Path, given: Mapping[str, Path | None], scratch: Path
-) -> list[list[str]]:
+def commands(record: Due, folder: Path, folders: Folders, scratch: Path) -> list[list[str]]:
     """What to run, one after the other; ``scratch`` is an empty folder."""
-    kept, record = one.kept, folder / f"{one.kept.name}.json"
-    if PHOTOS in kept.command:
+    command, output = record.kept.command, str(folder / f"{record.kept.name}.json")
+    if PHOTOS in command:
         script = [sys.executable, str(examples_folder() / "temple_ring.py")]
-        return [
-            [*script, "prepare", str(given[PHOTOS]), str(scratch)],
-            [*script, "compare", str(scratch), "-o", str(record)],
-        ]
-    words, option = list[str](), ""
-    for word in shlex.split(kept.command.removeprefix("tso lab ")):
-        if word == FOLDER:
-            words.append(str(given[option]))
+        prepare = [*script, "prepare", str(folders[PHOTOS]), str(scratch)]
+        return [prepare, [*script, "compare", str(scratch), "-o", output]]
+    words, option = [sys.executable, "-m", "tso_cli", "lab"], ""
+    for word in shlex.split(command.removeprefix("tso lab ")):
+        if word == "DIR":
+            words.append(str(folders[option]))
         else:
             words.append(str(folder / word) if word.endswith(".png") else word)
         option = word
-    how = "--resume" if one.resumed else "--overwrite"
-    return [[*PROCESS, *words, "-o", str(record), how]]
-
-
-def _environment(alone: bool) -> dict[str, str]:
-    """One core for a process that others run beside, else all."""
-    environment = os.environ | {"PYTHONPATH": str(PACKAGE.parent)}
-    environment.pop("OMP_NUM_THREADS", None)
-    return environment if alone else environment | {"OMP_NUM_THREADS": "1"}
+    return [[*words, "-o", output, "--resume" if record.resumed else "--overwrite"]]

@@ -13,7 +13,7 @@ from tso_cli.io.reading import shown
 from tso_cli.workers.pool import cores
 
 from .. import options as lab_options
-from ..studies import QUESTIONS
+from ..studies import WORDS
 from ..study import Study, answer, undamaged
 from .records import read_record, write_page, write_record
 
@@ -22,7 +22,7 @@ records_argument = click.argument("records", nargs=-1, required=True, type=optio
 
 def load(name: str) -> Study:
     """The study of that name."""
-    module, attribute = QUESTIONS[name][0].rsplit(".", 1)
+    module, attribute = WORDS[name]["study"].rsplit(".", 1)
     study: Study = getattr(import_module(f"tso_lab.{module}"), attribute)
     return study
 
@@ -57,12 +57,12 @@ def records(
 
     output.mkdir(parents=True, exist_ok=True)
     due = all_due(output, names)
-    given = {"--meshes": meshes, "--unseen": unseen, "--photos": photos}
-    needs(due, given)
-    failed = make(due, output, given, jobs or cores())
-    for one in due:
-        if one.kept.name not in failed:
-            click.echo(output / f"{one.kept.name}.json")
+    folders = {"--meshes": meshes, "--unseen": unseen, "--photos": photos}
+    needs(due, folders)
+    failed = make(due, output, folders, jobs or cores())
+    for record in due:
+        if record.kept.name not in failed:
+            click.echo(output / f"{record.kept.name}.json")
     if failed:
         raise TsoError(f"{len(failed)} of {len(due)} records were not made: {', '.join(failed)}")
 
@@ -77,8 +77,8 @@ def page(records: tuple[Path, ...]) -> None:
     for path in records:
         record = read_record(path)
         name = record.get("study")
-        if name not in QUESTIONS:
-            names = ", ".join(QUESTIONS)
+        if name not in WORDS:
+            names = ", ".join(WORDS)
             raise InputError(f"{path}: is of the study {shown(name)}, expected one of {names}")
         if not record.get("complete", True):
             expected = "expected a finished record (--resume finishes it)"

@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 
 from tso_cli.errors import InputError
 from tso_cli.geometry.arrays import Array
-from tso_cli.geometry.points import farthest_point_sample, sample_surface
+from tso_cli.geometry.points import sample_surface
 from tso_cli.geometry.view import View
 from tso_cli.io.shipped import CATEGORIES, example_meshes
 from tso_cli.optimisation.symmetry import find_mirror_plane
@@ -23,7 +23,7 @@ from tso_cli.render.rays import RayScene, render_view
 from tso_cli.render.settings import RenderSettings
 from tso_cli.render.viewpoints import fitting_distance, look_at
 
-from ..studies.cases import SAMPLES, CaseBuilder
+from ..studies.cases import SAMPLES, CaseBuilder, farthest_point_subset
 from ..studies.shapes import Shape, shapes_of_part
 
 Rng = np.random.Generator
@@ -97,8 +97,9 @@ class Gallery:
         if self.builder is not None and shape.name in self.listed:
             other = self.builder.cases(shape, "other")[0].initial
         else:
-            other = _spread(warped(again, rng))
-        scene = Scene(_spread(exact), POINTS, dense, views, world, partial(self._beside, number))
+            other = farthest_point_subset(warped(again, rng), POINTS)
+        start, beside = farthest_point_subset(exact, POINTS), partial(self._beside, number)
+        scene = Scene(start, POINTS, dense, views, world, beside)
         return {"exact": scene, "other": replace(scene, initial=other)}
 
     def _beside(self, number: int) -> Bits:
@@ -113,13 +114,11 @@ def gallery(
 
     With neither they are three shipped examples.
     """
-    builder, listed, shapes = None, [], []
+    builder, listed = None, list[Shape]()
     if meshes is not None:
         listed = shapes_of_part(meshes, split, part)
         builder = CaseBuilder(meshes, split, 1, BUILDER_SIZE, POINTS, seed)
-    if unseen is not None:
-        shapes = unseen_shapes(unseen)
-    shapes = [*listed, *shapes] or example_shapes()
+    shapes = [*listed, *(unseen_shapes(unseen) if unseen else ())] or example_shapes()
     order = np.random.default_rng(seed).permutation(len(shapes))
     names = frozenset(shape.name for shape in listed)
     return Gallery([shapes[i] for i in order], seed, builder, names)
@@ -160,10 +159,6 @@ def warped(points: Array, rng: Rng) -> Array:
     bent = [map_coordinates(noise[..., i], nodes, order=2, mode="nearest") for i in range(3)]
     result: Array = ((places + np.stack(bent, 1)) @ change.T)[:, order]
     return result
-
-
-def _spread(points: Array) -> Array:
-    return points[farthest_point_sample(points, POINTS)]
 
 
 def _seen(world: RayScene, side: int, name: str, rng: Rng) -> View:

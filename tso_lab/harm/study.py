@@ -2,35 +2,143 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tso_cli.errors import InputError
+from tso_cli.errors import InputError, TsoError
+from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.arrays import Array
+from tso_cli.geometry.points import longest_side, root_mean_square
 from tso_cli.plots.style import BETTER as GAIN_COLOUR
 from tso_cli.plots.style import COLOURS, INK, PALE, page
 from tso_cli.plots.style import WORSE as HARM_COLOUR
+from tso_cli.refinement import RefineConfig, refine
 
 from .. import options
 from ..options import option
 from ..studies.summary import grouped, rounded, summarised
-from ..study import Cases, Plan, Progress, Record, Study, Table
-from .runs import (
-    BETTER,
-    DEFAULT,
-    GAINED,
-    SAID,
-    SILENT,
-    VARIANTS,
-    WITHHELD,
-    WORSE,
-    rows_of,
-)
-from .scenes import STARTS, gallery
+from ..study import Cases, Plan, Progress, Record, Study, Table, uninterrupted
+from .scenes import STARTS, Gallery, Scene, gallery
 from .troubles import TROUBLE, TROUBLES, Trouble
+
+VIEWS, STRENGTHS = (1, 4), 3
+STRIDE = 17
+"""How many shapes further on each trouble begins."""
+WORSE, BETTER = 1.05, 0.95
+"""A ratio over or under this is worse or better than the start."""
+SILENT, SAID, GAINED, WITHHELD, KEPT = "silent", "said", "gained", "withheld", "kept"
+VARIANTS = {
+    "default": RefineConfig(),
+    "shape": RefineConfig(move="shape"),
+    "paper": RefineConfig(preset="paper"),
+}
+DEFAULT = next(iter(VARIANTS))
+
+
+def altered(
+    gallery: Gallery, trouble: Trouble, start: str, number: int, views: int
+) -> tuple[Record, Scene | InputError]:
+    """Scene ``number`` of a trouble and start, and what a record calls it.
+
+    An error where the scene cannot even be given to tso.
+    """
+    place = TROUBLES.index(trouble) * STRIDE + number
+    shape, strength = gallery.shape(place), number % STRENGTHS
+    views = max(views, trouble.views)
+    names: Record = {"trouble": trouble.name, "start": start, "number": number}
+    names |= {"strength": strength, "views": views}
+    names |= {"shape": shape.name, "category": shape.category}
+    names["listed"] = shape.name in gallery.listed
+    rng = gallery.rng(trouble.name, start, shape.name, str(number))
+    try:
+        return names, trouble.apply(gallery.scene(place, start, views), strength, rng)
+    except InputError as error:
+        return names, error
+
+
+def scenes_of(
+    gallery: Gallery, trouble: Trouble, start: str, count: int
+) -> Iterator[tuple[Record, Scene | InputError]]:
+    """``count`` scenes, with one and four views in turn; none of a start it is not about."""
+    for number in range(count if start in trouble.starts else 0):
+        yield altered(gallery, trouble, start, number, VIEWS[number % len(VIEWS)])
+
+
+def run_row(scene: Scene | InputError, config: RefineConfig) -> Record:
+    """The figures of one run."""
+    if isinstance(scene, InputError):
+        return _refused(scene)
+    began = time.perf_counter()
+    try:
+        result = uninterrupted(refine(scene.initial, scene.views, config=config))
+    except TsoError as error:
+        return _refused(uninterrupted(error))
+    milliseconds = 1000.0 * (time.perf_counter() - began)
+    before = distance(scene.initial, scene)
+    names = [finding.name.partition("=")[0] for finding in result.findings]
+    moved = (result.points - scene.initial)[: scene.own]
+    row: Record = {
+        "ratio": distance(result.points, scene) / before,
+        "before": before,
+        "moved": root_mean_square(moved) / own_size(scene),
+        "verdict": result.trust.verdict,
+        "confidence": result.trust.confidence,
+        "outcome": result.fit.outcome,
+        "move": result.move.kind,
+        "findings": names,
+        "suspicious": any(finding.suspicious for finding in result.findings),
+        "iou_before": result.fit.iou_before,
+        "iou_after": result.fit.iou_after,
+        "milliseconds": milliseconds,
+    }
+    if result.fit.stop_reason == "doubtful":
+        accepting = replace(config, accept_doubtful=True)
+        accepted = uninterrupted(refine(scene.initial, scene.views, config=accepting))
+        row["withheld_ratio"] = distance(accepted.points, scene) / before
+    return rounded({**row, "became": became(row)})
+
+
+def _refused(error: TsoError) -> Record:
+    return {"ratio": None, "outcome": "error", "message": str(error)[:120], "became": SAID}
+
+
+def own_size(scene: Scene) -> float:
+    """Longest side of the start's own points."""
+    return longest_side(scene.initial[: scene.own])
+
+
+def distance(points: Array, scene: Scene) -> float:
+    """Chamfer distance of the object's own ``points`` to the true surface."""
+    return chamfer(points[: scene.own], scene.dense).chamfer
+
+
+def became(row: Record) -> str:
+    """What became of a run that came to an end."""
+    if row["ratio"] > WORSE:
+        return SAID if row["verdict"] == "doubtful" or row["suspicious"] else SILENT
+    if row["ratio"] < BETTER:
+        return GAINED
+    return WITHHELD if row.get("withheld_ratio", 1.0) < BETTER else KEPT
+
+
+def rows_of(
+    gallery: Gallery, trouble: Trouble, starts: tuple[str, ...], count: int, variant: str
+) -> Cases:
+    """The rows of a trouble and variant for all ``starts``."""
+    return [
+        {**names, "variant": variant, **run_row(scene, VARIANTS[variant])}
+        for start in starts
+        for names, scene in scenes_of(gallery, trouble, start, count)
+    ]
+
+
+# The study.
 
 ALL, LISTED, UNSEEN = "all", "listed", "unseen"
 SHARES = {SILENT: "silently worse %", SAID: "worse, said %", WITHHELD: "gain withheld %"}
@@ -43,19 +151,6 @@ SEGMENTS = {
 ROW_HEIGHT = 0.13
 """Inches."""
 SCENES, QUICK_SCENES = 12, 2
-CONVENTION = {
-    "ratio": "Chamfer distance after / before, squared distances, mean over points, forward + "
-    "backward, longest side 1, of the object's own points to 16,384 true ones; mean of the runs "
-    "that came to an end; before: the start as it was given, of exact starts what sampling leaves",
-    "starts": "exact: another sampling of the truth in its place; other: another shape of the "
-    "category, or, of a shape in no list, the truth stretched, sheared and bent",
-    "silently worse": f"ratio over {WORSE}, and neither a doubtful verdict nor a suspicious "
-    "finding",
-    "worse, said": f"ratio over {WORSE}, and one of these, or the input was refused",
-    "gain withheld": "the result was too doubtful to be taken, and with accept_doubtful its ratio "
-    f"is under {BETTER}",
-    **{trouble.name: f"the user {trouble.did}" for trouble in TROUBLES[1:]},
-}
 
 
 def plan(
@@ -91,15 +186,11 @@ def plan(
         )
         for trouble in troubles
         for start in trouble.starts
-        for variant in VARIANTS
-        if variant == DEFAULT or (variants and refines(variant, trouble))
+        for variant in (VARIANTS if variants else (DEFAULT,))
+        # The paper's preset knows no depth maps.
+        if VARIANTS[variant].preset != "paper" or trouble.group != "depth"
     ]
     return Plan(settings, jobs)
-
-
-def refines(variant: str, trouble: Trouble) -> bool:
-    """The paper's preset knows no depth maps."""
-    return VARIANTS[variant].preset != "paper" or trouble.group != "depth"
 
 
 def conclude(cases: Cases) -> Record:
@@ -115,14 +206,10 @@ def conclude(cases: Cases) -> Record:
         totals |= {name: figures(group) for name, group in lists.items() if group}
         summary[variant][ALL] = totals | {ALL: figures(rows)}
     ours = [row for row in cases if row["variant"] == DEFAULT and TROUBLE[row["trouble"]].levels]
-    strengths = summarised(ours, ("trouble", "start"), _by_strength)
+    ours = [{**row, "strength": str(row["strength"])} for row in ours]
+    ours.sort(key=lambda row: int(row["strength"]))
+    strengths = summarised(ours, ("trouble", "start", "strength"), figures)
     return {"summary": summary, "strengths": strengths}
-
-
-def _by_strength(rows: Cases) -> Record:
-    """Strength, as text -> figures."""
-    groups = grouped(rows, "strength")
-    return {str(strength): figures(groups[strength]) for strength in sorted(groups)}
 
 
 def figures(rows: Cases) -> Record:
@@ -217,16 +304,11 @@ def _draw_bar(axis: Any, place: float, row: Record | None) -> None:
 
 STUDY = Study(
     name="harm",
-    about="Troubles of the field (an arm in the mask, a guessed focal length, a floor in the "
-    "cloud) in three strengths, with a start that is right and one of another shape; --quick "
-    "takes shipped examples.",
+    values={"WORSE": WORSE, "BETTER": BETTER},
+    more_convention={trouble.name: f"the user {trouble.did}" for trouble in TROUBLES[1:]},
     parts=("pictures", "points, paper", "points, best"),
     tables=tables,
     draw=draw,
-    reading="Each trouble is what a user did. An exact start should stay as it is, and another "
-    "shape should come nearer to the truth, or stay. Red is harm without a word; the pale rest of "
-    "a bar is what hardly changed.",
-    convention=CONVENTION,
     options=(
         option("--quick", "Shipped examples.", bool, False),
         options.meshes(required=False),

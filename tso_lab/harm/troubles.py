@@ -18,7 +18,7 @@ from tso_cli.geometry.camera import Camera
 from tso_cli.geometry.rotations import from_vectors
 from tso_cli.geometry.view import View, object_box
 
-from ..studies.evidence_alterations import exact_depth
+from ..studies.evidence import exact_depth
 from .scenes import STARTS, Bits, Rng, Scene
 
 Alter = Callable[[Scene, float, Rng], Scene]
@@ -273,8 +273,8 @@ def _portrait(scene: Scene, level: float, rng: Rng) -> Scene:
 
 
 def _other_camera(scene: Scene, level: float, rng: Rng) -> Scene:
-    first, second, third, *others = scene.views
-    return replace(scene, views=(first, replace(second, camera=third.camera), third, *others))
+    first, second, third, fourth = scene.views
+    return replace(scene, views=(first, replace(second, camera=third.camera), third, fourth))
 
 
 # Depth maps [H, W] of the true surface, NaN beside it, altered; the longest side is 1.

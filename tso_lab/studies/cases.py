@@ -1,29 +1,33 @@
-"""Cases to refine: unseen shapes, masks of them, and clouds that are wrong in a known way."""
+"""Cases to refine: masks of unseen shapes, clouds wrong in a known way; and ways to refine them."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tso_cli.datasets.variants import shape_type
-from tso_cli.errors import InputError
+from tso_cli.errors import InputError, TsoError
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.geometry.camera import CANONICAL_ROTATION
 from tso_cli.geometry.points import Array, farthest_point_sample, sample_surface
 from tso_cli.geometry.rotations import from_quaternion
 from tso_cli.geometry.view import View
-from tso_cli.io.shipped import CATEGORIES
+from tso_cli.io.shipped import CATEGORIES, NO_PRIOR
 from tso_cli.network.model import BaseNetwork, NetworkConfig
+from tso_cli.optimisation.presets import Mode
+from tso_cli.refinement import RefineConfig, RefineResult, refine, refine_batch
 from tso_cli.render.rays import RayScene, render_view
 from tso_cli.render.settings import RenderSettings
 from tso_cli.render.viewpoints import fitting_distance, look_at, sample_cameras
 from tso_cli.scene.network import network_scene
 
+from ..study import uninterrupted
 from .shapes import Shape, shapes_of_part
 
 KINDS = ("other", "turned", "near", "cut", "right", "network")
@@ -224,3 +228,96 @@ def kinds_of(category: str, kinds: Sequence[str]) -> list[str]:
 def farthest_point_subset(samples: Array, count: int) -> Array:
     """``count`` of ``samples`` [S, 3], spread evenly."""
     return samples if count == len(samples) else samples[farthest_point_sample(samples, count)]
+
+
+# The ways of refining that studies compare.
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way of refining a case.
+
+    config : settings. masks : how many masks of the case are seen.
+    then : settings of a second refinement, in points mode, which starts from the result.
+    """
+
+    config: RefineConfig = field(default_factory=RefineConfig)
+    masks: int = 1
+    then: RefineConfig | None = None
+
+
+PAPER: Final = "paper"
+DEFAULT: Final = "best"
+NO_SYMMETRY, TWO_MASKS, FOUR_MASKS = "best, no symmetry", "best, two masks", "best, four masks"
+BY_MASKS = (DEFAULT, TWO_MASKS, FOUR_MASKS)
+"""The default preset with one, two and four masks."""
+# The paper's method leaves nothing as it was.
+POINTS = {
+    PAPER: Variant(RefineConfig(preset="paper", accept_doubtful=True)),
+    DEFAULT: Variant(),
+    NO_SYMMETRY: Variant(RefineConfig(symmetry="none")),
+    TWO_MASKS: Variant(masks=2),
+    FOUR_MASKS: Variant(masks=4),
+}
+FIRST_MODES: tuple[Mode, ...] = ("latent", "encoder-decoder")
+COMBINED = {
+    f"{mode}, then points": Variant(
+        RefineConfig(mode=mode, accept_doubtful=True), then=RefineConfig()
+    )
+    for mode in FIRST_MODES
+}
+ABLATION = {
+    PAPER: POINTS[PAPER],
+    DEFAULT: POINTS[DEFAULT],
+    "no mirror plane": POINTS[NO_SYMMETRY],
+    "no learned prior": Variant(RefineConfig(prior=NO_PRIOR)),
+    "one step": Variant(RefineConfig(steps=1)),
+}
+"""The default preset with one ingredient changed in each row, below the paper's and itself."""
+
+
+def with_prior(variants: Mapping[str, Variant], prior: str) -> dict[str, Variant]:
+    """The ``variants`` with this learned prior, wherever the default preset moves points.
+
+    A variant that has chosen its prior keeps it.
+    """
+
+    def chosen(config: RefineConfig) -> RefineConfig:
+        takes_one = (config.preset, config.mode) == (DEFAULT, "points") and config.prior is None
+        return replace(config, prior=prior) if takes_one else config
+
+    return {
+        name: replace(
+            variant, config=chosen(variant.config), then=variant.then and chosen(variant.then)
+        )
+        for name, variant in variants.items()
+    }
+
+
+def refined(
+    cases: list[Case], variant: Variant, network: BaseNetwork | None = None
+) -> list[RefineResult]:
+    """The result of each case; TsoError where a case cannot be refined."""
+    # Networks have no batch.
+    if variant.config.mode != "points":
+        return [alone(case, variant, network) for case in cases]
+    problems = [(case.initial, case.views[: variant.masks]) for case in cases]
+    results = []
+    for result in refine_batch(problems, variant.config):
+        uninterrupted(result)
+        if isinstance(result, TsoError):
+            raise result
+        results.append(result)
+    return results
+
+
+def alone(case: Case, variant: Variant, network: BaseNetwork | None) -> RefineResult:
+    """The result of one case, refined by itself."""
+    config, views = variant.config, case.views[: variant.masks]
+    if config.mode == "points":
+        return uninterrupted(refine(case.initial, views, config=config))
+    result = uninterrupted(refine(None, views, config=config, network=network, image=case.image))
+    if variant.then is None:
+        return result
+    then = uninterrupted(refine(result.points, views, config=variant.then))
+    return replace(then, fit=replace(then.fit, iou_before=result.fit.iou_before))

@@ -18,13 +18,12 @@ from tso_cli.io.output import atomic_output
 from tso_cli.refinement import RefineConfig, refine
 
 from .. import options
-from ..charts import draw_bars
-from ..harm.runs import BETTER, VIEWS, WORSE, altered, distance
+from ..charts import Rows, bars
 from ..harm.scenes import Gallery, Scene, gallery
+from ..harm.study import BETTER, VIEWS, WORSE, altered, distance
 from ..harm.troubles import TROUBLES, Trouble
-from ..interrupts import uninterrupted
 from ..options import option
-from ..study import Cases, Plan, Progress, Record, Study, Table, claim
+from ..study import Cases, Plan, Progress, Record, Study, Table, claim, uninterrupted
 from .summary import grouped, rounded
 
 Floats = NDArray[np.float64]
@@ -49,21 +48,6 @@ REFUSED = {"ratio": 1.0, "confidence": 0.0, "moved": False, "finding": True, "fl
 REFUSED |= {"left": True, "iou_gain": 0.0}
 """What is refused stays as it was."""
 LEAST_AUC, MOST_WITHHELD = 0.85, 0.005
-CONVENTION = {
-    "worse": f"Chamfer distance of the object's own points to the truth over {WORSE} times the "
-    f"distance before; better: under {BETTER} times",
-    "right scenes": "nothing is wrong, or only depth maps are added, which are right; the start is "
-    "another shape; in one, two or four masks",
-    "in trouble": "something is wrong, as in the study of harm, or the start is exact",
-    "moved": "the shape moved, also where it would be left as it was: --accept-doubtful",
-    "AUC": "of those that moved: the chance that a worse result has less confidence than one that "
-    "is not worse",
-    "flagged": "doubtful, for low confidence or because of a finding",
-    "silent": "worse, and not flagged",
-    "withheld": "better, and left as it was",
-    "log ratio": f"mean logarithm of after / before, {RIGHT_SHARE:.0%} of it of right scenes; what "
-    "is left or refused is as it was",
-}
 
 
 def is_right(row: Record) -> bool:
@@ -90,7 +74,7 @@ def row_of(names: Record, scene: Scene | InputError) -> Row:
     except TsoError as error:
         return row_of(names, InputError(str(uninterrupted(error))))
     trust, fit = result.trust, result.fit
-    finding = any(one.suspicious for one in result.findings)
+    finding = any(item.suspicious for item in result.findings)
     doubtful = trust.verdict == "doubtful"
     # What stays as it was has no confidence under a finding.
     confidence = float(not doubtful) if trust.confidence is None else trust.confidence
@@ -160,8 +144,16 @@ def fitted(rows: Sequence[Row]) -> Record:
     deviation[deviation == 0.0] = 1.0
     standard = np.clip((values - mean) / deviation, -MOST_DEVIATIONS, MOST_DEVIATIONS)
     folds = np.unique([row["shape"] for row, _ in chosen], return_inverse=True)[1] % FOLDS
-    losses = [_held_out(standard, worse, weights, folds, penalty) for penalty in PENALTIES]
-    *slopes, offset = _logistic(standard, worse, weights, PENALTIES[int(np.argmin(losses))])
+
+    def held_out(penalty: float) -> float:
+        """The cross-entropy of each fold after a fit to the others, added."""
+        loss = 0.0
+        for here in (folds == fold for fold in range(FOLDS)):
+            fit = _logistic(standard[~here], worse[~here], weights[~here], penalty)
+            loss += _cross_entropy(fit, standard[here], worse[here], weights[here])
+        return loss
+
+    *slopes, offset = _logistic(standard, worse, weights, min(PENALTIES, key=held_out))
     terms = np.stack([mean, deviation, slopes], 1).round(4).tolist()
     features = dict(zip(names, terms, strict=True))
     return {"offset": round(float(offset), 4), "features": features}
@@ -173,18 +165,6 @@ def _weights(rows: Cases) -> Floats:
     shares = RIGHT_SHARE / max(right.sum(), 1), (1.0 - RIGHT_SHARE) / max((~right).sum(), 1)
     weights = np.where(right, *shares)
     return np.asarray(weights / weights.sum())
-
-
-def _held_out(
-    values: Floats, worse: Floats, weights: Floats, folds: NDArray[np.int_], penalty: float
-) -> float:
-    """The cross-entropy of each fold after a fit to the others, added."""
-    loss = 0.0
-    for fold in range(FOLDS):
-        here = folds == fold
-        fit = _logistic(values[~here], worse[~here], weights[~here], penalty)
-        loss += _cross_entropy(fit, values[here], worse[here], weights[here])
-    return loss
 
 
 def _cross_entropy(slopes: Floats, values: Floats, worse: Floats, weights: Floats) -> float:
@@ -214,11 +194,11 @@ def auc(confidence: Floats, worse: NDArray[np.bool_]) -> float | None:
     """
     from scipy.stats import rankdata
 
-    count, others = int(worse.sum()), int((~worse).sum())
-    if not count * others:
+    worse_count, other_count = int(worse.sum()), int((~worse).sum())
+    if not worse_count * other_count:
         return None
     ranks = rankdata(-confidence)[worse].sum()
-    return float((ranks - count * (count + 1) / 2) / (count * others))
+    return float((ranks - worse_count * (worse_count + 1) / 2) / (worse_count * other_count))
 
 
 def conclude(cases: Cases) -> Record:
@@ -235,12 +215,13 @@ def conclude(cases: Cases) -> Record:
         {name: _figures(rows) for name, rows in groups.items() if _ended(rows)}
         for groups in (chosen, grouped(named, "name"))
     )
-    found = {"summary": summary, "troubles": by_trouble, "limits": _limits(cases)}
-    found |= {"mixture": _mixture(cases), "reliability": _reliability(cases)}
-    area, kept = summary["all"]["auc"] or 0.0, summary["right scenes"]["withheld"]
+    area, withheld = summary["all"]["auc"] or 0.0, summary["right scenes"]["withheld"]
     text = f"at most {MOST_WITHHELD:.1%} of the right scenes are better and left as they were"
-    answers = [claim(f"AUC is at least {LEAST_AUC}", area >= LEAST_AUC, f"{area:.3f}")]
-    return {**found, "claims": [*answers, claim(text, kept <= MOST_WITHHELD, f"{kept:.3f}")]}
+    claims = [claim(f"AUC is at least {LEAST_AUC}", area >= LEAST_AUC, f"{area:.3f}")]
+    claims.append(claim(text, withheld <= MOST_WITHHELD, f"{withheld:.3f}"))
+    of_cases: Record = {"limits": _limits(cases), "mixture": _mixture(cases)}
+    of_cases |= {"reliability": _reliability(cases), "claims": claims}
+    return {"summary": summary, "troubles": by_trouble, **of_cases}
 
 
 def _ended(cases: Cases) -> Cases:
@@ -333,7 +314,7 @@ def tables(record: Record) -> list[Table]:
     ]
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def panels(record: Record) -> Rows:
     """Reliability by bin of confidence, and the AUC by kind of scene."""
     reliability = {
         f"{stated:.2f}": {"confidence": stated, "not worse": true}
@@ -343,22 +324,21 @@ def draw(path: Path, record: Record, overwrite: bool = False) -> None:
         name: {"confidence": row["auc"], "IoU gain": row["auc_iou_gain"]}
         for name, row in record["summary"].items()
     }
-    panels = {"share that is not worse by over 5 %, by confidence": reliability, "AUC": areas}
-    draw_bars(path, panels, overwrite)
+    return {"share that is not worse by over 5 %, by confidence": reliability, "AUC": areas}
 
 
 STUDY = Study(
     name="confidence",
-    about="Scenes of the study of harm: half of them right, half in trouble, refined with the "
-    f"default. A result with a confidence under {LEAST_CONFIDENCE:g} is doubtful, and then moves "
-    f"by at most {MOST_OF_DOUBTFUL:.0%} of its size. The confidence was fitted to training shapes "
-    "(--fit).",
+    values={
+        "WORSE": WORSE,
+        "BETTER": BETTER,
+        "RIGHT_SHARE": RIGHT_SHARE,
+        "LEAST_CONFIDENCE": LEAST_CONFIDENCE,
+        "MOST_OF_DOUBTFUL": MOST_OF_DOUBTFUL,
+    },
     parts=("points, best",),
     tables=tables,
-    draw=draw,
-    reading="A rising IoU says little. A cloud that is out of place and a camera that is out of "
-    "place give the same picture, so no feature can separate them.",
-    convention=CONVENTION,
+    draw=bars(panels),
     options=(
         options.MESHES,
         options.SPLIT,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,35 +10,21 @@ from typing import Any
 import numpy as np
 
 from tso_cli.evaluation.metrics import chamfer
-from tso_cli.geometry.points import Array
-from tso_cli.geometry.view import View
 from tso_cli.losses.nearest import nearest
 from tso_cli.refinement import RefineConfig, RefineResult, refine
 
 from .. import options
-from ..charts import draw_bars
-from ..interrupts import uninterrupted
-from ..study import Cases, Plan, Progress, Record, Study, Table, claim
+from ..charts import Rows, bars
+from ..study import Cases, Plan, Progress, Record, Study, Table, by_shape, claim, uninterrupted
 from .cases import MASKS, Case, CaseBuilder
-from .evidence_alterations import Truth, with_depth
+from .evidence import Truth, with_depth
 from .shapes import Shape, shapes_of_part
-from .summary import grouped, rounded
+from .summary import grouped, mean, rounded
 
 CATEGORIES = ("chair", "airplane", "car")
 SIZE = 64
 """Of the masks, px."""
 MASK_COUNTS = (1, 2, 4, 8)
-ASKING = RefineConfig(point_confidence=True)
-CONVENTION = {
-    "determined": "mean confidence of the control points",
-    "rank correlation": "Spearman's, of the confidence of a point and its distance to the true "
-    "surface, or the part of the distance along the first camera's axis or across it; negative is "
-    "right; mean over shapes",
-    "error of a quarter": "mean distance to the true surface x100 of the quarter of points with "
-    "the lowest or highest confidence, longest side 1",
-    "after / before": "Chamfer distance to the truth of the result over that of the start; mean "
-    "over shapes",
-}
 
 
 def plan(
@@ -54,9 +39,7 @@ def plan(
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     # The last of the cases has the four masks after those of the first.
     builder = CaseBuilder(meshes, split, MASKS + 1, SIZE, 1024, settings["seed"])
-    settings |= {"size": SIZE, "shapes": [shape.name for shape in shapes]}
-    jobs = [({"shape": shape.name}, partial(_of_shape, builder, shape)) for shape in shapes]
-    return Plan(settings, jobs)
+    return by_shape({**settings, "size": SIZE}, shapes, partial(_of_shape, builder))
 
 
 def _of_shape(builder: CaseBuilder, shape: Shape) -> Cases:
@@ -67,18 +50,12 @@ def _of_shape(builder: CaseBuilder, shape: Shape) -> Cases:
     rng = np.random.default_rng([builder.seed, zlib.crc32(shape.name.encode())])
     seen = {f"{count} mask{'s' * (count > 1)}": views[:count] for count in MASK_COUNTS}
     seen["mask and depth map"] = with_depth(case, truth, rng).views[:1]
-    results = {name: _refined(case, some) for name, some in seen.items()}
-    rows = [{"seen": name, **_figures(case, result)} for name, result in results.items()]
-    return [rounded({"shape": shape.name, "category": shape.category, **row}) for row in rows]
-
-
-def _refined(case: Case, views: Sequence[View]) -> RefineResult:
-    return uninterrupted(refine(case.initial, views, config=ASKING))
-
-
-def _ratio(case: Case, result: RefineResult) -> float:
-    after, before = (chamfer(cloud, case.target) for cloud in (result.points, case.initial))
-    return after.chamfer / before.chamfer
+    names = {"shape": shape.name, "category": shape.category}
+    config, rows = RefineConfig(point_confidence=True), []
+    for name, masks in seen.items():
+        result = uninterrupted(refine(case.initial, masks, config=config))
+        rows.append(rounded({**names, "seen": name, **_figures(case, result)}))
+    return rows
 
 
 def _figures(case: Case, result: RefineResult) -> Record:
@@ -93,9 +70,10 @@ def _figures(case: Case, result: RefineResult) -> Record:
     across = np.sqrt(np.maximum(np.square(error) - np.square(along), 0.0))
     ranked = {"error": error, "along": np.abs(along), "across": across}
     low, high = np.quantile(confidence, (0.25, 0.75))
+    after, before = (chamfer(cloud, case.target) for cloud in (result.points, case.initial))
     return {
         "determined": result.determined,
-        "ratio": _ratio(case, result),
+        "ratio": after.chamfer / before.chamfer,
         **{name: float(spearmanr(confidence, values)[0]) for name, values in ranked.items()},
         "error_of_lowest": 100.0 * float(error[confidence <= low].mean()),
         "error_of_highest": 100.0 * float(error[confidence >= high].mean()),
@@ -106,27 +84,15 @@ def conclude(cases: Cases) -> Record:
     """Means over shapes, by evidence."""
     keys = "determined", "ratio", "error", "along", "across", "error_of_lowest", "error_of_highest"
     summary = {
-        name: {"shapes": len(rows)} | {key: float(_of(rows, key).mean()) for key in keys}
+        name: {"shapes": len(rows)} | {key: mean(row[key] for row in rows) for key in keys}
         for name, rows in grouped(cases, "seen").items()
     }
-    return {"summary": summary, "claims": _claims(summary)}
-
-
-def _claims(summary: Record) -> list[Record]:
     most = list(summary.values())[len(MASK_COUNTS) - 1]
     share = most["error_of_highest"] / most["error_of_lowest"]
-    return [
-        claim(
-            f"with {MASK_COUNTS[-1]} masks the most confident quarter of the points is half as far "
-            "off as the least",
-            share <= 0.5,
-            f"{share:.2f} times as far",
-        ),
-    ]
-
-
-def _of(rows: Cases, key: str) -> Array:
-    return np.array([row[key] for row in rows])
+    text = f"with {MASK_COUNTS[-1]} masks the most confident quarter of the points is half as far "
+    text += "off as the least"
+    claims = [claim(text, share <= 0.5, f"{share:.2f} times as far")]
+    return {"summary": summary, "claims": claims}
 
 
 def tables(record: Record) -> list[Table]:
@@ -137,25 +103,20 @@ def tables(record: Record) -> list[Table]:
     return [Table(header, rows)]
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def panels(record: Record) -> Rows:
     """What each evidence determines."""
     shares = {
-        name: {"determined": one["determined"], "error after / before": one["ratio"]}
-        for name, one in record["summary"].items()
+        name: {"determined": figures["determined"], "error after / before": figures["ratio"]}
+        for name, figures in record["summary"].items()
     }
-    draw_bars(path, {"by evidence": shares}, overwrite)
+    return {"by evidence": shares}
 
 
 STUDY = Study(
     name="determined",
-    about="Another shape of the category is refined by 1 to 8 masks and by a mask with its depth "
-    "map.",
     parts=("pictures", "points, best"),
     tables=tables,
-    draw=draw,
-    reading="`determined` says how much of the shape the evidence fixes. It should rise where the "
-    "error falls. Points of high confidence should lie nearer to the true surface than others.",
-    convention=CONVENTION,
+    draw=bars(panels),
     options=(*options.COMMON, options.part("test"), options.categories(*CATEGORIES)),
     plan=plan,
     conclude=conclude,

@@ -4,38 +4,221 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from tso_cli.diagnosis.depth_map import Contents
+from tso_cli.diagnosis.findings import OF_DEPTH_MAPS
 from tso_cli.evaluation.metrics import chamfer
+from tso_cli.geometry.camera import Camera, intrinsics
+from tso_cli.geometry.points import Array, sample_surface
+from tso_cli.geometry.view import View
+from tso_cli.io.meshes import Mesh
+from tso_cli.optimisation.symmetry import find_mirror_plane
 from tso_cli.refinement import RefineConfig, RefineResult
+from tso_cli.render.rays import RayScene, render_view
+from tso_cli.render.viewpoints import fitting_distance
 
 from .. import options
-from ..charts import Panel, draw_ratios
+from ..charts import Panel, ratios
 from ..study import Cases, Plan, Progress, Record, Study, Table
-from . import evidence_maps
-from .cases import Case, CaseBuilder, kinds_of
-from .evidence_alterations import Alter, Truth, unaltered, with_depth, without
-from .refining import Variant, refined
+from .cases import SAMPLES, Case, CaseBuilder, Variant, farthest_point_subset, kinds_of, refined
 from .shapes import Shape, shapes_of_part
 from .summary import grouped, rounded, summarised
+
+# Cases with other evidence: depth maps, objects that lack a part.
+
+# An object that lacks a part needs as many faces, and its masks as many pixels, to make a case.
+FEWEST_FACES, FEWEST_PIXELS = 20, 50
+# Where a part begins beyond the mirror plane and, of half a side, above or below (longest side 1).
+SIDE, HALF_SIDE, HIGH, LOW = 0.12, 0.03, 0.0, -0.1
+
+Rng = np.random.Generator
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The shape that a case is of."""
+
+    shape: Shape
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        return self.shape.mesh()
+
+    @cached_property
+    def scene(self) -> RayScene:
+        return RayScene(self.mesh)
+
+
+Alter = Callable[[Case, Truth, Rng], Case | None]
+"""Alters a case; None where that is not possible."""
+
+
+def unaltered(case: Case, truth: Truth, rng: Rng) -> Case:
+    return case
+
+
+def with_depth(case: Case, truth: Truth, rng: Rng, noise: float = 0.0) -> Case:
+    """Each view with the depth of the true surface, and Gaussian ``noise`` (longest side 1)."""
+    views = []
+    for view in case.views:
+        exact = exact_depth(truth.scene, view.camera)
+        noisy = exact + noise * rng.normal(size=exact.shape)
+        views.append(replace(view, depth=np.where(np.isfinite(exact), noisy, 0.0)))
+    return replace(case, views=tuple(views))
+
+
+def exact_depth(scene: RayScene, camera: Camera) -> Array:
+    """[H, W] along z, infinite where nothing is hit."""
+    columns, rows = np.arange(float(camera.width)), np.arange(float(camera.height))
+    return scene.cast(camera, columns, rows)["depth"]
+
+
+def without(case: Case, truth: Truth, rng: Rng, part: str) -> Case | None:
+    """The object lacks a part on one side of the start's mirror plane; the start has it.
+
+    ``part`` is "side", or "high" or "low" for the upper or lower half of a side (y up).
+    """
+    normal = np.abs(find_mirror_plane(case.initial).plane.normal)
+    middles = truth.mesh.vertices[truth.mesh.faces].mean(1)
+    beyond, height = middles[:, 0 if normal[0] >= normal[2] else 2], middles[:, 1]
+    gone = {
+        "side": beyond > SIDE,
+        "high": (beyond > HALF_SIDE) & (height > HIGH),
+        "low": (beyond > HALF_SIDE) & (height < LOW),
+    }[part]
+    faces = truth.mesh.faces[~gone]
+    if len(faces) < FEWEST_FACES:
+        return None
+    mesh = replace(truth.mesh, faces=faces, paint=None)
+    scene = RayScene(mesh)
+    views = tuple(
+        replace(view, mask=render_view(scene, view.camera).mask.astype(np.float32) / 255.0)
+        for view in case.views
+    )
+    if min(int((view.mask > 0.5).sum()) for view in views) < FEWEST_PIXELS:
+        return None
+    dense = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
+    target = farthest_point_subset(dense, len(case.target))
+    return replace(case, views=views, dense=dense, target=target)
+
+
+# Depth maps that hold something else than depth along z, and whether this is noticed.
+
+# Of the mask's longer side, by which a map is shifted.
+SHIFT = 0.1
+DEPTH = "depth"
+FIELDS_OF_VIEW = (30, 60, 90)
+
+
+class Map(NamedTuple):
+    """What a map ``holds``, and what that should be called; ``fov`` : of its camera, degrees."""
+
+    holds: str
+    called: Contents
+    fov: int | None = None
+
+
+MAPS = {
+    **{name: Map(name, "inverse") for name in ("1 / depth", "a / depth + b")},
+    **{name: Map(name, "affine") for name in ("depth from 0 to 1", "a depth + b")},
+    "millimetres": Map("millimetres", "unit"),
+    **{f"along the ray, {fov} degrees": Map("along the ray", "ray", fov) for fov in FIELDS_OF_VIEW},
+    **{name: Map(name, "unrelated") for name in ("another object", "flipped", "shifted by 10 %")},
+}
+
+
+def map_rows() -> dict[str, tuple[Alter, Variant]]:
+    """The mask, the right map, and each wrong map, which is tested."""
+    table: dict[str, Alter] = {}
+    for fov in (None, *FIELDS_OF_VIEW):
+        seen = f", {fov} degrees" if fov else ""
+        table[f"mask{seen}"] = partial(with_fov, fov=fov) if fov else unaltered
+        table[f"right map{seen}"] = partial(with_map, holds=DEPTH, fov=fov)
+    for name, (holds, _, fov) in MAPS.items():
+        table[name] = partial(with_map, holds=holds, fov=fov)
+    return {label: (alter, Variant()) for label, alter in table.items()}
+
+
+def ignored(result: RefineResult, label: str) -> float:
+    """1 if a map was left out."""
+    return float(bool(_wrong(result)))
+
+
+def named(result: RefineResult, label: str) -> float:
+    """1 if it was said what the map of a row holds."""
+    wrong = MAPS.get(label)
+    return float(wrong is not None and f"depth-{wrong.called}" in _wrong(result))
+
+
+def _wrong(result: RefineResult) -> set[str]:
+    names = {finding.name for finding in result.findings}
+    return names & set(OF_DEPTH_MAPS) - {"depth-fitted"}
+
+
+def with_fov(case: Case, truth: Truth, rng: Rng, fov: float) -> Case:
+    """The first view from so near that the object fills a picture of this angle, degrees."""
+    view = case.views[0]
+    focal = view.camera.width / 2.0 / np.tan(np.radians(fov) / 2.0)
+    camera = replace(view.camera, K=intrinsics(focal, view.camera.width, view.camera.height))
+    distance = fitting_distance(truth.mesh.vertices, camera, least=0.0)
+    camera = replace(camera, t=np.array([0.0, 0.0, distance]))
+    mask = render_view(truth.scene, camera).mask.astype(np.float32) / 255.0
+    return replace(case, views=(replace(view, mask=mask, camera=camera),))
+
+
+def with_map(
+    case: Case, truth: Truth, rng: Rng, holds: str, fov: float | None = None
+) -> Case | None:
+    """The first view with a map that ``holds`` something, of a kind that tso has to find out.
+
+    None where the map is unknown on the whole mask.
+    """
+    seen = case if fov is None else with_fov(case, truth, rng, fov)
+    view = seen.views[0]
+    values = _held(view, holds, truth, rng)
+    values = np.where(np.isfinite(values) & (values > 0.0), values, 0.0)
+    if not values[view.inside].any():
+        return None
+    return replace(seen, views=(replace(view, depth=values, depth_kind="auto"),))
+
+
+def _held(view: View, holds: str, truth: Truth, rng: Rng) -> Array:
+    """[H, W], the numbers of a map of the view."""
+    depth = exact_depth(truth.scene, view.camera)
+    depth = np.where(np.isfinite(depth), depth, np.nan)
+    low, high = np.nanmin(depth), np.nanmax(depth)
+    scale, shift = 10.0 ** rng.uniform(-1.0, 3.0), rng.uniform(0.5, 1.0)
+    left, top, right, bottom = view.box()
+    across = round(SHIFT * max(right - left, bottom - top))
+    lying = replace(truth.mesh, vertices=truth.mesh.vertices[:, [1, 2, 0]])
+    numbers: dict[str, Callable[[], Array]] = {
+        DEPTH: lambda: depth,
+        "1 / depth": lambda: 1.0 / depth,
+        "a / depth + b": lambda: scale * (1.0 / depth - (2.0 * shift - 1.0) / high),
+        "depth from 0 to 1": lambda: (depth - low) / (high - low),
+        "a depth + b": lambda: scale * (depth - shift * low),
+        "millimetres": lambda: 1000.0 * depth,
+        "along the ray": lambda: depth * view.camera.ray_lengths(*np.indices(depth.shape)),
+        # The shape on its side stands for another object.
+        "another object": lambda: exact_depth(RayScene(lying), view.camera),
+        "flipped": lambda: depth[:, ::-1],
+        "shifted by 10 %": lambda: np.roll(depth, across, 1),
+    }
+    return numbers[holds]()
+
+
+# The study.
 
 SIZE, POINTS = 64, 1024
 """Pixels of the masks each way, points of the clouds."""
 PLANES, NAMED, IGNORED = "no mirror plane", "named", "ignored"
-CONVENTION = {
-    "ratio": "Chamfer distance after / before, mean of the cases' ratios; squared distances, mean "
-    "over points, forward + backward, longest side 1, to as many target points; worse: cases with "
-    "a ratio over 1",
-    PLANES: "share of the cases whose refinement used none",
-    NAMED: "share of the cases in which it was said what the depth map holds",
-    IGNORED: "share of the cases in which the depth map was left out",
-}
 FIGURES = {"cases": "cases", "mean_ratio": "ratio", "worst_ratio": "worst", "worse": "worse"}
 ALL = "all"
 Rows = dict[str, tuple[Alter, Variant]]
@@ -98,9 +281,9 @@ QUESTIONS = {
     "maps": Question(
         "Depth maps that hold something else",
         ("other",),
-        evidence_maps.rows(),
+        map_rows(),
         THREE,
-        {NAMED: evidence_maps.named, IGNORED: evidence_maps.ignored},
+        {NAMED: named, IGNORED: ignored},
     ),
 }
 
@@ -188,45 +371,38 @@ def tables(record: Record) -> list[Table]:
     """A table for each question."""
     result = []
     for question, kinds in record["summary"].items():
-        asked = QUESTIONS[question]
-        columns = FIGURES | {name: name for name in asked.more}
+        about = QUESTIONS[question]
+        columns = FIGURES | {name: name for name in about.more}
         rows = [
             [kind, label, *map(figures.get, columns)]
             for kind, groups in kinds.items()
             for label, figures in groups[ALL].items()
         ]
         header = ["kind", question, *columns.values()]
-        result.append(Table(header, rows, title=asked.title))
+        result.append(Table(header, rows, title=about.title))
     return result
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def grid(record: Record) -> list[list[Panel]]:
     """Chamfer after / before of every case: a row of panels for each question."""
-    grid = []
+    rows = []
     for question, cases in grouped(record["cases"], "question").items():
         panels = []
         for kind, of_kind in grouped(cases, "kind").items():
-            ratios: dict[str, list[float]] = {}
+            by_label: dict[str, list[float]] = {}
             for label in record["summary"][question][kind][ALL]:
-                rows = [case["rows"][label] for case in of_kind if label in case["rows"]]
-                ratios[label] = [row["chamfer"] / row["before"] for row in rows]
-            panels.append(Panel(f"{question}, {kind}", ratios))
-        grid.append(panels)
-    draw_ratios(path, grid, overwrite)
+                of_label = [case["rows"][label] for case in of_kind if label in case["rows"]]
+                by_label[label] = [row["chamfer"] / row["before"] for row in of_label]
+            panels.append(Panel(f"{question}, {kind}", by_label))
+        rows.append(panels)
+    return rows
 
 
 STUDY = Study(
     name="evidence",
-    about="Depth maps (depth), objects that lack a part (missing), and depth maps that hold "
-    "something else than depth (maps).",
     parts=("pictures", "points, best"),
     tables=tables,
-    draw=draw,
-    reading="Each question alters cases in one way and compares rows that see the same random "
-    "numbers. Right evidence helps: more masks, and depth. Where an object lacks a part that its "
-    "start has, a mirror plane gains less, and does harm to few. A depth map that holds something "
-    "else is mostly named or left out; a map of another picture often is not.",
-    convention=CONVENTION,
+    draw=ratios(grid),
     options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
     conclude=conclude,

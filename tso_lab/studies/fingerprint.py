@@ -30,8 +30,8 @@ from tso_cli.train.config import TrainConfig
 from tso_cli.train.loop import train
 from tso_cli.train.sources import shipped_examples
 
-from ..interrupts import uninterrupted
-from ..views import views_around
+from ..bench.speed import views_around
+from ..study import uninterrupted
 from .shapes import Shape, see
 
 Numbers = dict[str, float]

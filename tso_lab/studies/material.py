@@ -32,11 +32,9 @@ from .shapes import Shape, see, shapes_of_part
 Floats = NDArray[np.float32]
 INPUT_VIEWS = 4
 """Views of each unseen shape that a network predicts from; the others are not given to it."""
-CONVENTION = {
-    "Chamfer": "squared distances, mean over points, forward (target -> prediction) + backward "
-    "(prediction -> target); by the paper's protocol each cloud is centred and scaled to longest "
-    "side 1 by its own box"
-}
+CHAMFER = "squared distances, mean over points, forward (target -> prediction) + backward "
+CHAMFER += "(prediction -> target); by the paper's protocol each cloud is centred and scaled to "
+CHAMFER += "longest side 1 by its own box"
 MEAN_SHAPE = "mean training shape"
 """Its name in tables."""
 POINTS = 1024

@@ -19,24 +19,17 @@ from tso_cli.pose import Asked
 from tso_cli.refinement import RefineConfig, refine
 
 from .. import options
-from ..charts import draw_bars
-from ..interrupts import uninterrupted
+from ..charts import Rows, bars
 from ..options import option
-from ..study import Cases, Plan, Progress, Record, Study, Table
+from ..study import Cases, Plan, Progress, Record, Study, Table, uninterrupted
 from .cases import Case, CaseBuilder, kinds_of
 from .shapes import Shape, shapes_of_part
-from .summary import grouped, rounded
+from .summary import grouped, nested_rows, rounded
 
 CATEGORIES = ("chair", "airplane", "car")
 KINDS = ("right", "near", "other")
 # Degrees that a cloud is turned by -> how far it is shifted, and the share of its change of size.
-ERRORS = {
-    0.0: (0.0, 0.0),
-    1.0: (0.01, 0.01),
-    3.0: (0.03, 0.03),
-    6.0: (0.06, 0.06),
-    12.0: (0.1, 0.1),
-}
+ERRORS = {0.0: 0.0, 1.0: 0.01, 3.0: 0.03, 6.0: 0.06, 12.0: 0.1}
 ERRORS_OF_WRONG = (0.0, 6.0)
 WAYS: tuple[Asked, ...] = ("shape", "auto", "pose", "similarity")
 NEAR_FLOOR = 1.3
@@ -45,12 +38,6 @@ WORSE = 1.05
 """Times the start: a result counts as worse."""
 MOST_SCALING = 0.15
 """Of the logarithm: how far a cloud is scaled about its camera before it is compared."""
-CONVENTION = {
-    "before, after, floor": "Chamfer distance to the truth x1000, longest side 1, after the best "
-    "scaling about the camera, which one mask does not determine; the floor is that of the cloud "
-    "before it is turned",
-    "bent": "mean displacement of a control point after the move as one, in longest sides",
-}
 
 
 def plan(
@@ -87,7 +74,7 @@ def plan(
 
 def moved_case(case: Case, ways: Sequence[Asked]) -> Cases:
     """The results of one case, wrongly placed by each error, in each of the ``ways``."""
-    view = case.views[0]
+    view, row = case.views[0], Record()
     floor = up_to_scaling(case.initial, case.target, view.camera)
     rows = []
     for degrees in ERRORS if case.kind == "right" else ERRORS_OF_WRONG:
@@ -98,33 +85,24 @@ def moved_case(case: Case, ways: Sequence[Asked]) -> Cases:
             result = uninterrupted(refine(start, view, config=RefineConfig(move=way)))
             seconds = time.perf_counter() - begun
             after = up_to_scaling(result.points, case.target, view.camera)
-            figures = {"before": before, "after": after, "floor": floor}
-            rows.append(
-                {
-                    **case.names,
-                    "size": view.camera.width,
-                    "degrees": degrees,
-                    "way": way,
-                    "moved_as": result.move.kind,
-                    **{name: 1e3 * value for name, value in figures.items()},
-                    "bent": result.fit.moved_mean,
-                    "confidence": result.trust.confidence,
-                    "seconds": seconds,
-                }
-            )
-    return [rounded(row) for row in rows]
+            row = {**case.names, "size": view.camera.width, "degrees": degrees, "way": way}
+            row |= {"moved_as": result.move.kind, "before": 1e3 * before, "after": 1e3 * after}
+            row |= {"floor": 1e3 * floor, "bent": result.fit.moved_mean}
+            row |= {"confidence": result.trust.confidence, "seconds": seconds}
+            rows.append(rounded(row))
+    return rows
 
 
 def misplaced(case: Case, degrees: float) -> Array:
     """The start of ``case``, turned about a random axis, shifted and scaled by `ERRORS`."""
-    aside, scaling = ERRORS[degrees]
+    error = ERRORS[degrees]
     words = zlib.crc32(f"{case.shape} {case.kind} {case.view} {degrees:g}".encode())
     rng = np.random.default_rng(words)
-    axis, shift = (one / np.linalg.norm(one) for one in rng.normal(size=(2, 3)))
-    size = (1.0 + scaling) ** rng.choice([-1.0, 1.0])
+    axis, shift = (vector / np.linalg.norm(vector) for vector in rng.normal(size=(2, 3)))
+    size = (1.0 + error) ** rng.choice([-1.0, 1.0])
     centre, unit = bounding_box_normalisation(case.initial)
     turn = from_vectors(np.radians(degrees) * axis)
-    return size * (case.initial - centre) @ turn.T + centre + unit * aside * shift
+    return size * (case.initial - centre) @ turn.T + centre + unit * error * shift
 
 
 def up_to_scaling(points: Array, truth: Array, camera: Camera) -> float:
@@ -136,8 +114,8 @@ def up_to_scaling(points: Array, truth: Array, camera: Camera) -> float:
         return chamfer(scaled, truth).chamfer
 
     bounds = (-MOST_SCALING, MOST_SCALING)
-    found = minimize_scalar(error, bounds=bounds, method="bounded", options={"xatol": 1e-3})
-    return float(min(found.fun, error(0.0)))
+    best = minimize_scalar(error, bounds=bounds, method="bounded", options={"xatol": 1e-3})
+    return float(min(best.fun, error(0.0)))
 
 
 def conclude(cases: Cases) -> Record:
@@ -150,13 +128,13 @@ def conclude(cases: Cases) -> Record:
     for kind, of_kind in grouped(first, "kind").items():
         for degrees, rows in grouped(of_kind, "degrees").items():
             name = f"{kind}, {degrees:g} degrees off"
-            summary[name] = {way: _figures(some) for way, some in grouped(rows, "way").items()}
-    by_size: Record = {}
-    for degrees, rows in grouped(of_moves, "degrees").items():
-        of_sizes = sorted(grouped(rows, "size").items())
-        by_size[f"right, {degrees:g} degrees off"] = {
-            f"{size} px": _figures(some) for size, some in of_sizes
+            summary[name] = {way: _figures(group) for way, group in grouped(rows, "way").items()}
+    by_size = {
+        f"right, {degrees:g} degrees off": {
+            f"{size} px": _figures(group) for size, group in sorted(grouped(rows, "size").items())
         }
+        for degrees, rows in grouped(of_moves, "degrees").items()
+    }
     return {"summary": summary, "by_size": by_size}
 
 
@@ -183,38 +161,25 @@ def tables(record: Record) -> list[Table]:
     header = ["cases", "before", "after", "floor", "after / before"]
     header += ["within 1.3 floors", "over 5 % worse", "moved as one", "bent", "s"]
     return [
-        Table(
-            ["start", what, *header],
-            [
-                [start, one, *figures.values()]
-                for start, several in record[part].items()
-                for one, figures in several.items()
-            ],
-        )
+        Table(["start", what, *header], nested_rows(record[part]))
         for part, what in (("summary", "--move"), ("by_size", "mask"))
     ]
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def panels(record: Record) -> Rows:
     """For each start the error that is left in each way."""
     rows = {
         start: {f"--move {way}": figures["mean_ratio"] for way, figures in ways.items()}
         for start, ways in record["summary"].items()
     }
-    draw_bars(path, {"error after / before, mean": rows}, overwrite)
+    return {"error after / before, mean": rows}
 
 
 STUDY = Study(
     name="moves",
-    about="Clouds of the right shape (right), of a shape near it, and of another shape, turned, "
-    "shifted and scaled, and refined by one mask in each way of `--move`.",
     parts=("pictures", "points, best", "camera fit"),
     tables=tables,
-    draw=draw,
-    reading="A cloud of the right shape in a wrong place is brought back exactly when it may move "
-    "as one, and is bent when it may not. A cloud of a wrong shape in the right place is best left "
-    "there, and its shape refined. The default has to tell the two apart.",
-    convention=CONVENTION,
+    draw=bars(panels),
     options=(
         *options.COMMON,
         options.part("test"),

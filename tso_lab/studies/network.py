@@ -17,7 +17,7 @@ from tso_cli.train.batches import Draw, assemble
 from tso_cli.train.data import TrainingData
 
 from .. import options
-from ..charts import draw_bars
+from ..charts import Rows, bars
 from ..study import Cases, Plan, Progress, Record, Study, Table
 from .material import MEAN_STEPS, Floats, Material, mean_shape
 from .shapes import SPLIT, weights_hash
@@ -26,10 +26,6 @@ from .summary import mean, summarised
 PARTS = ("validation", "test")
 MEAN_VIEWS = 8
 """Of each training shape, for the mean shape in the axes of the view."""
-CONVENTION = {
-    "Chamfer": "squared distances, mean over points, forward + backward; targets of longest side "
-    "1, in the view's frame"
-}
 LABELS = {
     "network": "network",
     "nearest": "nearest training shape",
@@ -71,7 +67,7 @@ def plan(
 
     def compare(category: str) -> Cases:
         training = materials[PARTS[0]].data(category, training=True)
-        unseen = {part: one.data(category, training=False) for part, one in materials.items()}
+        unseen = {part: shapes.data(category, training=False) for part, shapes in materials.items()}
         rows = compared(network, training, unseen, seed, materials[PARTS[0]].mean_steps)
         return [{"category": category, **row} for row in rows]
 
@@ -153,28 +149,22 @@ def tables(record: Record) -> list[Table]:
     return [Table(header, rows, note="Chamfer x1000, mean over shapes and views")]
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def panels(record: Record) -> Rows:
     """Chamfer of the network and of its three rivals, by list and category."""
-    panels = {
+    return {
         f"{part}: mean Chamfer to the truth x1000": {
             category: {label: 1e3 * row[key] for key, label in LABELS.items()}
             for category, row in summary.items()
         }
         for part, summary in record["summary"].items()
     }
-    draw_bars(path, panels, overwrite)
 
 
 STUDY = Study(
     name="network",
-    about="Chamfer to the truth, compared with the mean and the nearest training shape.",
     parts=("pictures", "network modes, paper"),
     tables=tables,
-    draw=draw,
-    reading="A network that ignored the picture could do no better than the mean shape in its own "
-    "frame. The nearest training shape is the best that retrieval could do if it knew the answer: "
-    "a network that comes close to it has learnt more than to remember.",
-    convention=CONVENTION,
+    draw=bars(panels),
     options=(
         options.MESHES,
         options.SPLIT,

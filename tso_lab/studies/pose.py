@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,8 @@ from tso_cli.geometry.rotations import angle_between
 from tso_cli.pose.fit import FittedCamera, fit_camera
 
 from .. import options
-from ..charts import draw_bars
-from ..study import Cases, Plan, Progress, Record, Study, Table
+from ..charts import Rows, bars
+from ..study import Cases, Plan, Progress, Record, Study, Table, by_shape
 from .cases import Case, CaseBuilder, kinds_of
 from .shapes import Shape, shapes_of_part
 from .summary import grouped, rounded
@@ -28,11 +27,6 @@ CLOUDS = {
 }
 RIGHT_DEGREES, EXACT_DEGREES = 15.0, 3.0
 """Up to these angles a rotation counts as found, and as found exactly."""
-CONVENTION = {
-    "degrees": "angle between the fitted rotation and the true one",
-    "answers": "smallest angle of the fitted pose and its alternatives",
-    "focal": "the shortest and the longest focal length that fit as well, over the true one",
-}
 
 
 def plan(
@@ -46,15 +40,13 @@ def plan(
     """Fit a camera to one 64x64 mask of each case and compare it with the true camera."""
     shapes = shapes_of_part(meshes, split, settings["part"], categories, settings["limit"])
     builder = CaseBuilder(meshes, split, settings["views"], 64, 1024, settings["seed"])
-    settings["shapes"] = [shape.name for shape in shapes]
 
     def fit_shape(shape: Shape) -> Cases:
         kinds = kinds_of(shape.category, tuple(CLOUDS))
         cases = [case for kind in kinds for case in builder.cases(shape, kind)]
         return [row for case in cases for row in fit_case(case)]
 
-    jobs = [({"shape": shape.name}, partial(fit_shape, shape)) for shape in shapes]
-    return Plan(settings, jobs, "fitting")
+    return by_shape(settings, shapes, fit_shape, "fitting")
 
 
 def fit_case(case: Case) -> Cases:
@@ -112,44 +104,32 @@ def conclude(cases: Cases) -> Record:
 
 def tables(record: Record) -> list[Table]:
     """A row for each cloud."""
-    header = [
-        "cloud",
-        "cases",
-        "median degrees",
-        "within 3",
-        "within 15",
-        "one of the answers within 15",
-    ]
-    header += ["sure", "sure and within 15", "shortest focal length / true", "longest", "s"]
+    header = ["cloud", "cases", "median degrees", "within 3", "within 15"]
+    header += ["one of the answers within 15", "sure", "sure and within 15"]
+    header += ["shortest focal length / true", "longest", "s"]
     return [Table(header, [[name, *row.values()] for name, row in record["summary"].items()])]
 
 
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def panels(record: Record) -> Rows:
     """For each cloud how many cases are found, by the first answer and by any, and called sure."""
-    bars = {
+    labels = {
         "right": "the first answer within 15 degrees",
         "answers": "one of the answers",
         "sure": "sure",
         "sure_right": "sure and within 15",
     }
     rows = {
-        cloud: {label: 100.0 * row[key] / row["cases"] for key, label in bars.items()}
+        cloud: {label: 100.0 * row[key] / row["cases"] for key, label in labels.items()}
         for cloud, row in record["summary"].items()
     }
-    draw_bars(path, {"% of the cases": rows}, overwrite)
+    return {"% of the cases": rows}
 
 
 STUDY = Study(
     name="pose",
-    about="`tso refine --camera fit` on the true cloud, and on other shapes' clouds.",
     parts=("pictures", "camera fit"),
     tables=tables,
-    draw=draw,
-    reading="A true cloud and its mask determine the rotation to about a degree. A cloud of "
-    "another shape does not: an object and its mirror image turned round in depth cast nearly the "
-    "same silhouette, so the right pose is often among the alternatives. The focal length is less "
-    "certain, and a range of focal lengths fits as well.",
-    convention=CONVENTION,
+    draw=bars(panels),
     options=(*options.COMMON, options.part("validation"), options.views(2)),
     plan=plan,
     conclude=conclude,

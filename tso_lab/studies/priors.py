@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -31,6 +31,7 @@ from tso_cli.train.prior.state import new_state
 from tso_cli.workers.pool import cores
 
 from .. import options
+from ..charts import legend_beside
 from ..harm.scenes import unseen_shapes
 from ..options import option
 from ..study import Cases, Plan, Progress, Record, Study, Table, crossed
@@ -53,16 +54,9 @@ JUDGED_SCENES, JUDGED_BATCHES, JUDGED_SEED = 400, 60, 1000
 WORSE = 1.05
 BINS = 10
 CLEAN, MARRED_MASK, WITH_DEPTH, TWO = "one mask", "marred mask", "depth map", "two masks"
-CONVENTION = {
-    "left": "Chamfer distance after the network's first answer alone, over that of the start; mean",
-    "worse": f"share of the starts of which over {WORSE} is left",
-    "another shape, near": "starts as the training draws them, of shapes that no training sees: "
-    "validation shapes, kinds in no list, new shapes of every second family",
-    CLEAN: "right camera and mask, without a depth map",
-    MARRED_MASK: "the mask shows something else too, or lacks a part",
-    WITH_DEPTH: "right mask with a depth map, some of them noisy, with holes, or fitted",
-    "error": "mean distance of probability and frequency, over ten bins of equal width",
-}
+CONDITIONS = {CLEAN: 0, TWO: 2, WITH_DEPTH: 0, MARRED_MASK: 0}
+"""Of starts -> the column of `Outcome.left` that counts."""
+STARTS = OTHER, NEAR = "another shape", "near"
 
 
 @dataclass(frozen=True)
@@ -146,7 +140,7 @@ def plan(
         done = about.get("settings", {}).get("steps", 0)
         return judged.cases({"training": SHIPPED, "steps": done, "minutes": 0.0}, weights)
 
-    jobs = [({"training": one.name}, partial(trained, one)) for one in trainings]
+    jobs = [({"training": training.name}, partial(trained, training)) for training in trainings]
     settings = {"split": (split or SPLIT).name, "steps": steps, "longest": longest}
     settings |= {"scenes": scenes, "seed": seed}
     return Plan(settings, [({"training": SHIPPED}, shipped), *jobs], "training")
@@ -166,23 +160,23 @@ class _Judged:
     def banks(self) -> dict[str, Bank]:
         """By name of the set, made once."""
         if not self._banks:
-            families = ShapeSet(
-                [one for one in ruled_shapes(4, JUDGED_SEED).shapes if one.category in LEFT_OUT]
-            )
-            sets = {"validation": self.read("validation"), "unseen": self._kinds()}
-            for name, shapes in (sets | {"families": families}).items():
+            ruled = ruled_shapes(4, JUDGED_SEED).shapes
+            # Kinds with one shape each are one category together, so that all can be drawn.
+            kinds = [
+                Shape.of(normalise(read_mesh(shape.path)), shape.name, "unseen", shape.name)
+                for shape in unseen_shapes(self._unseen)
+            ]
+            sets = {
+                "validation": self.read("validation"),
+                "unseen": ShapeSet(kinds),
+                "families": ShapeSet([shape for shape in ruled if shape.category in LEFT_OUT]),
+            }
+            for name, shapes in sets.items():
                 chances = Chances(MARRED, DEPTH_MAPS)
                 self._banks[name] = build_bank(
                     shapes, JUDGED_SCENES, JUDGED_SEED, processes=cores(), chances=chances
                 )
         return self._banks
-
-    def _kinds(self) -> ShapeSet:
-        """Kinds with one shape each: together they are one category, so that all can be drawn."""
-        listed = unseen_shapes(self._unseen)
-        return ShapeSet(
-            [Shape.of(normalise(read_mesh(s.path)), s.name, "unseen", s.name) for s in listed]
-        )
 
     def cases(self, about: Record, weights: Mapping[str, Any]) -> Cases:
         """A case for each set, start and condition; and one of what it says of each trouble."""
@@ -191,108 +185,70 @@ class _Judged:
         }
         cases: Cases = []
         for name, bank in self.banks().items():
-            rows = _Rows.of(tensors, bank)
-            starts = {"another shape": rows.other, "near": rows.near}
-            if name == "unseen":
-                # Another shape would be one of another kind.
-                starts.pop("another shape")
-            for start, chosen in starts.items():
-                for condition, (held, left) in rows.conditions().items():
-                    values = left[chosen & held]
+            of = outcomes(tensors, bank)
+            # Another shape than one of a kind by itself would be of another kind.
+            for start in STARTS[name == "unseen" :]:
+                for condition, pass_number in CONDITIONS.items():
+                    values = of["left"][of[start] & of[condition], pass_number]
                     row: Record = {"set": name, "start": start, "condition": condition}
                     row |= {"starts": len(values), "left": float(values.mean())}
                     cases.append({**about, **row, "worse": float((values > WORSE).mean())})
-            cases.append({**about, "set": name, "start": "", "troubles": rows.doubts()})
+            cases.append({**about, "set": name, "start": "", "troubles": doubts(of)})
         return [rounded(case) for case in cases]
 
 
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """What a prior makes of N starts, in their first views.
+def outcomes(weights: Mapping[str, torch.Tensor], bank: Bank) -> dict[str, NDArray[Any]]:
+    """What a prior makes of N starts in their first views; of the same ones for every prior.
 
-    other, near : [N], the kind of the start. wrong : [N], whether anything is wrong with cloud,
-    camera or picture. marred, deep : [N], whether the mask has a part that it should not have, or
-    lacks one; whether there is a depth map. left : [N, 3], see `Outcome`. both : [N], whether
-    nothing is wrong with the second view either. said, true : [2 N, T], probabilities of troubles,
-    and whether they are the case, in all views. cells : (said, true) of cells, [C] each.
+    Of `STARTS` and `CONDITIONS` [N], which starts they hold for. left : [N, 3], see `Outcome`.
+    said, true : [2 N, T], probabilities of troubles, and whether they are the case, in all views.
+    foreign_said, foreign : the same of cells, [C] each.
     """
-
-    other: Bits
-    near: Bits
-    wrong: Bits
-    marred: Bits
-    deep: Bits
-    left: NDArray[np.float64]
-    both: Bits
-    said: NDArray[np.float64]
-    true: Bits
-    cells: tuple[NDArray[np.float64], Bits]
-
-    @classmethod
-    def of(cls, weights: Mapping[str, torch.Tensor], bank: Bank) -> _Rows:
-        parts = [_of_batch(*one) for one in _outcomes(weights, bank)]
-        joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-        cells = joined.pop("foreign_said"), joined.pop("foreign") > 0.5
-        return cls(**joined, cells=cells)
-
-    def conditions(self) -> dict[str, tuple[Bits, NDArray[np.float64]]]:
-        """By name: which starts they hold for, and what is left of them."""
-        right = ~self.wrong & ~self.marred
-        return {
-            CLEAN: (right & ~self.deep, self.left[:, 0]),
-            TWO: (right & self.both & ~self.deep, self.left[:, 2]),
-            WITH_DEPTH: (right & self.deep, self.left[:, 0]),
-            MARRED_MASK: (~self.wrong & self.marred & ~self.deep, self.left[:, 0]),
-        }
-
-    def doubts(self) -> Record:
-        """Of each trouble, and of foreign cells: how often, AUC, and error of the probability."""
-        columns = dict(zip(TROUBLES, zip(self.said.T, self.true.T, strict=True), strict=True))
-        return {
-            name: rounded(
-                {
-                    "frequency": float(true.mean()),
-                    "AUC": auc(-said, true),
-                    "error": _error(said, true),
-                }
-            )
-            for name, (said, true) in {**columns, "a foreign cell": self.cells}.items()
-        }
-
-
-def _outcomes(weights: Mapping[str, torch.Tensor], bank: Bank) -> Iterator[tuple[Batch, Outcome]]:
-    """The same batches for every prior."""
+    parts = []
     for number in range(JUDGED_BATCHES):
         batch = draw(bank, np.random.default_rng([JUDGED_SEED, number]), BATCH_SIZE)
         generator = torch.Generator().manual_seed(number)
         with torch.no_grad():
-            yield batch, outcome(weights, batch, generator, second_pass=0.0)
+            parts.append(_columns(batch, outcome(weights, batch, generator, second_pass=0.0)))
+    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
 
-def _of_batch(batch: Batch, came: Outcome) -> dict[str, NDArray[Any]]:
-    """The fields of `_Rows`, of one batch."""
+def _columns(batch: Batch, result: Outcome) -> dict[str, NDArray[Any]]:
     troubles = batch.troubles.numpy() > 0.5  # [B, V, T]
     of = {name: troubles[..., number] for number, name in enumerate(TROUBLES)}
-    part = of["foreign"] | of["hidden"]
-    elsewhere = of["moved"] | of["camera"] | of["outline"] | of["unrelated"] | of["plane"]
-    known = ~batch.counterpart.isnan().any(-1).numpy()
-    frame = came.frame
+    marred = of["foreign"] | of["hidden"]
+    wrong = of["moved"] | of["camera"] | of["outline"] | of["unrelated"] | of["plane"]
+    right = ~(wrong | marred)  # [B, V]
+    matched = ~batch.counterpart.isnan().any(-1).numpy()
+    frame = result.frame
+    deep = frame.views["measured"].flatten(2).amax(2)[:, 0].numpy() > 0.0
     # One cell of twenty: those of one mask are alike.
     inside = (frame.distance < 0.0)[:, 0].flatten()[::20].numpy()
-    foreign = frame.foreign[:, 0].flatten()[::20].numpy()[inside]
-    said = came.answers.cells.unflatten(0, frame.distance.shape[:2])[:, 0, 0].sigmoid()
+    said = result.answers.cells.unflatten(0, frame.distance.shape[:2])[:, 0, 0].sigmoid()
     return {
-        "other": ~known.any(1),
-        "near": known.any(1) & of["shape"][:, 0],
-        "wrong": elsewhere[:, 0],
-        "marred": part[:, 0],
-        "deep": frame.views["measured"].flatten(2).amax(2)[:, 0].numpy() > 0.0,
-        "left": came.left.double().numpy(),
-        "both": ~(elsewhere | part)[:, 1],
-        "said": came.answers.troubles.sigmoid().double().numpy(),
+        OTHER: ~matched.any(1),
+        NEAR: matched.any(1) & of["shape"][:, 0],
+        CLEAN: right[:, 0] & ~deep,
+        TWO: right[:, 0] & right[:, 1] & ~deep,
+        WITH_DEPTH: right[:, 0] & deep,
+        MARRED_MASK: ~wrong[:, 0] & marred[:, 0] & ~deep,
+        "left": result.left.double().numpy(),
+        "said": result.answers.troubles.sigmoid().double().numpy(),
         "true": troubles.reshape(-1, troubles.shape[-1]),
-        "foreign": foreign,
+        "foreign": frame.foreign[:, 0].flatten()[::20].numpy()[inside] > 0.5,
         "foreign_said": said.flatten()[::20].double().numpy()[inside],
+    }
+
+
+def doubts(of: Mapping[str, NDArray[Any]]) -> Record:
+    """Of each trouble, and of foreign cells: how often, AUC, and error of the probability."""
+    columns = dict(zip(TROUBLES, zip(of["said"].T, of["true"].T, strict=True), strict=True))
+    columns["a foreign cell"] = of["foreign_said"], of["foreign"]
+    return {
+        name: rounded(
+            {"frequency": float(true.mean()), "AUC": auc(-said, true), "error": _error(said, true)}
+        )
+        for name, (said, true) in columns.items()
     }
 
 
@@ -321,7 +277,7 @@ def conclude(cases: Cases) -> Record:
 
 def tables(record: Record) -> list[Table]:
     trainings = record["trainings"]
-    found = []
+    result = []
     for key, title in (("left", "Error left"), ("worse", f"Share of starts over {WORSE}")):
         for subset in dict.fromkeys(column.partition(",")[0] for column in record[key]):
             columns = {
@@ -337,10 +293,10 @@ def tables(record: Record) -> list[Table]:
                 }
                 for name, (steps, minutes) in trainings.items()
             }
-            found.append(crossed(cells, "training", f"{title}: {subset}"))
+            result.append(crossed(cells, "training", f"{title}: {subset}"))
     for subset, troubles in record["doubts"].items():
-        found.append(crossed(troubles, "trouble", f"What the shipped prior says: {subset}"))
-    return found
+        result.append(crossed(troubles, "trouble", f"What the shipped prior says: {subset}"))
+    return result
 
 
 def draw_chart(path: Path, record: Record, overwrite: bool = False) -> None:
@@ -351,16 +307,14 @@ def draw_chart(path: Path, record: Record, overwrite: bool = False) -> None:
     chosen = [column for column in left if column.endswith(CLEAN) or column.endswith(WITH_DEPTH)]
     with page(path, overwrite, (8.6, 8.0), dpi=100) as figure:
         above, below = figure.subplots(2, 1)
+        places = [BATCH_SIZE * trainings[name][0] for name in curve]
         for number, column in enumerate(chosen):
             values = [left[column][name] for name in curve]
             colour = COLOURS[number // 2 % len(COLOURS)]
-            dashed = column.endswith(WITH_DEPTH)
-            places = [BATCH_SIZE * trainings[name][0] for name in curve]
-            above.plot(
-                places, values, "o--" if dashed else "o-", color=colour, label=column, markersize=3
-            )
+            line = "o--" if column.endswith(WITH_DEPTH) else "o-"
+            above.plot(places, values, line, color=colour, label=column, markersize=3)
         above.set(xscale="log", xlabel="starts seen", ylabel="error left")
-        above.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        legend_beside(above)
         rows = [name for name in trainings if name == WHOLE or name.startswith("without")]
         for number, name in enumerate(rows):
             values = [left[column][name] for column in left]
@@ -369,19 +323,15 @@ def draw_chart(path: Path, record: Record, overwrite: bool = False) -> None:
         below.set_yticks(range(len(left)), list(left), fontsize=8)
         below.invert_yaxis()
         below.set_xlabel("error left")
-        below.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+        legend_beside(below)
 
 
 STUDY = Study(
     name="prior",
-    about="Trains priors on parts of what the shipped one has seen, and for fewer steps. Judges "
-    "them on shapes that none of them has seen. On two cores it takes about 50 minutes.",
+    values={"WORSE": WORSE},
     parts=("training of a prior",),
     tables=tables,
     draw=draw_chart,
-    reading="Above, each point is a training of its own, to its end. The last is the shipped "
-    "prior. Below, each row is a set of starts, and each colour a training that lacks something.",
-    convention=CONVENTION,
     options=(
         options.MESHES,
         options.SPLIT,

@@ -74,16 +74,16 @@ def shapes_of_part(
     names = read_part(split_file, part)
     if not names:
         raise InputError(f"{split_file}: names no shape for {part}, expected some")
-    known = sorted({name.split("/")[0] for name in names})
+    all_categories = sorted({name.split("/")[0] for name in names})
     for category in categories:
-        if category not in known:
-            expected = f"expected some of {', '.join(known)}"
+        if category not in all_categories:
+            expected = f"expected some of {', '.join(all_categories)}"
             raise InputError(f"{split_file}: names no {category} for {part}, {expected}")
     meshes = {
         path.relative_to(folder).with_suffix("").as_posix(): path for path in find_meshes(folder)
     }
     chosen = []
-    for category in [name for name in known if not categories or name in categories]:
+    for category in [name for name in all_categories if not categories or name in categories]:
         members = [name for name in names if name.split("/")[0] == category]
         count = min(limit or len(members), len(members))
         chosen += [members[i] for i in np.linspace(0, len(members) - 1, count).round().astype(int)]
@@ -123,8 +123,8 @@ def prior_hash(prior: Path) -> str | None:
 
     Raises InputError if the file is no prior.
     """
-    found = named_prior(str(prior))
-    return None if found is None else _hash(found.weights)
+    network = named_prior(str(prior))
+    return None if network is None else _hash(network.weights)
 
 
 def _hash(weights: Mapping[str, NDArray[Any]]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -74,6 +74,15 @@ def summarised(cases: Cases, keys: Sequence[str], figures: Callable[[Cases], Any
         return figures(cases)
     groups = grouped(cases, keys[0])
     return {value: summarised(group, keys[1:], figures) for value, group in groups.items()}
+
+
+def nested_rows(groups: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[list[Any]]:
+    """Of label -> label -> figures a row each: both labels and the figures."""
+    return [
+        [label, name, *figures.values()]
+        for label, group in groups.items()
+        for name, figures in group.items()
+    ]
 
 
 def grouped(cases: Cases, key: str) -> dict[str, Cases]:

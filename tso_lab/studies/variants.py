@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +24,9 @@ from tso_cli.render.settings import RenderSettings
 from tso_cli.scene.network import network_scene
 
 from .. import options
-from ..charts import Panel, draw_ratios
-from ..interrupts import uninterrupted
+from ..charts import Panel, ratios
 from ..options import option
-from ..study import Cases, Plan, Progress, Record, Study, Table, claim
+from ..study import Cases, Plan, Progress, Record, Study, Table, by_shape, claim, uninterrupted
 from .shapes import RenderedShape, Shape, see, shapes_of_part, view_aligned_network, weights_hash
 from .summary import grouped, interval, mean, ratio_figures
 
@@ -51,16 +49,6 @@ TOLERANCE = 2e-3
 """How far behind the first hit along its ray a visible point may lie, in longest sides."""
 RAYS_AT_ONCE = 32
 """Rays are cast through a grid of columns and rows; only its diagonal is used."""
-CONVENTION = {
-    "chamfer": "squared distances, mean over points, forward (target -> prediction) + backward "
-    "(prediction -> target)",
-    "capnet": "the paper's protocol: in the camera's axes each cloud is centred and scaled to "
-    "longest side 1 by its own box",
-    "visible, occluded": "forward distance of the target points that the input view shows, and of "
-    "the others",
-    "iou": f"{IOU_MEANS}; on the 64x64 crop that the network sees",
-    "seconds": "one refinement, with reading the masks and comparing the silhouette, median",
-}
 
 
 def plan(
@@ -88,8 +76,7 @@ def plan(
         seen, numbers = see(shape, render, settings["seed"]), range(settings["views"])
         return [refine_view(shape, seen, number, network, about, config) for number in numbers]
 
-    jobs = [({"shape": shape.name}, partial(refine_shape, shape)) for shape in shapes]
-    return Plan(settings, jobs)
+    return Plan(settings, by_shape({}, shapes, refine_shape).jobs)  # the settings count the shapes
 
 
 def refine_view(
@@ -118,9 +105,9 @@ def refine_view(
         ious = {"before": result.fit.iou_before} | ious | {variant: result.fit.iou_after}
     target = seen.target @ (CANONICAL_ROTATION @ picture.camera.R).T
     visible = visible_points(seen.scene, seen.target, picture.camera)
-    found = {name: distances(cloud, target, visible) for name, cloud in clouds.items()}
+    capnet = {name: distances(cloud, target, visible) for name, cloud in clouds.items()}
     names = {"category": shape.category, "shape": shape.name, "view": number}
-    return {**names, "capnet": found, "iou": ious, "seconds": seconds}
+    return {**names, "capnet": capnet, "iou": ious, "seconds": seconds}
 
 
 def visible_points(scene: RayScene, points: Array, camera: Camera) -> NDArray[np.bool_]:
@@ -161,19 +148,21 @@ def conclude(cases: Cases) -> Record:
     return {"paper": PAPER, "summary": summary, "claims": claims(summary)}
 
 
+def _chamfers(cases: Cases, name: str) -> Array:
+    clouds = [case["capnet"][name] for case in cases]
+    return np.array([cloud["forward"] + cloud["backward"] for cloud in clouds])
+
+
 def _means(cases: Cases) -> Record:
     """Of each cloud the means of the distances, and of each variant its ratios to before."""
-    found = [case["capnet"] for case in cases]
-    chamfers = {
-        name: np.array([row[name]["forward"] + row[name]["backward"] for row in found])
-        for name in LETTERS
-    }
+    chamfers = {name: _chamfers(cases, name) for name in LETTERS}
     capnet: Record = {}
     for name, chamfer in chamfers.items():
         row: Record = {}
         for key in ("forward", "backward", "visible", "occluded"):
-            values = [of_case[name][key] for of_case in found if of_case[name][key] is not None]
-            row[key] = float(np.mean(values)) if values else None
+            values = [case["capnet"][name][key] for case in cases]
+            numbers = [value for value in values if value is not None]
+            row[key] = mean(numbers) if numbers else None
         row["chamfer"] = float(chamfer.mean())
         if name != "before":
             before, shapes = capnet["before"], [case["shape"] for case in cases]
@@ -192,13 +181,14 @@ def _means(cases: Cases) -> Record:
 
 def claims(summary: Record) -> list[Record]:
     """What the paper says of its table, and whether it holds over all cases and categories."""
-    total, visible, occluded = (
-        ", ".join(
-            f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %"
-            for name, ratio in _ratios(summary["all"], key).items()
+
+    def changes(key: str) -> str:
+        ratios = _ratios(summary["all"], key).items()
+        return ", ".join(
+            f"{LETTERS[name]} {100.0 * (ratio - 1.0):+.1f} %" for name, ratio in ratios
         )
-        for key in (TOTAL, VISIBLE, OCCLUDED)
-    )
+
+    total, visible, occluded = map(changes, (TOTAL, VISIBLE, OCCLUDED))
     ious = ", ".join(f"{summary['all']['iou'][name]:.3f}" for name in VARIANTS)
     figures = (
         total,
@@ -250,19 +240,19 @@ def tables(record: Record) -> list[Table]:
     note += "of the forward distance of target points that the view shows, and of the others"
     header = ["category", "moves", "cases", "before", "after", "ratio", "95 % interval", "median"]
     header += ["worst", "worse", "visible", "occluded", "IoU before", "after", "s"]
-    rows = [
-        _row(category, name, group)
-        for category, group in record["summary"].items()
-        for name in VARIANTS
-    ]
+    keys = ("median_ratio", "worst_ratio", "worse", VISIBLE, OCCLUDED)
+    rows = []
+    for category, group in record["summary"].items():
+        before = 1e3 * group["capnet"]["before"]["chamfer"]
+        for name in VARIANTS:
+            row = group["capnet"][name]
+            low, high = row["interval"]
+            figures = [1e3 * row["chamfer"], row[TOTAL], f"{low:.3f} to {high:.3f}"]
+            figures += [*map(row.get, keys), group["iou"]["before"], group["iou"][name]]
+            head = [category, LETTERS[name], group["cases"], before]
+            rows.append([*head, *figures, group["median_seconds"][name]])
     columns = ["forward", "backward", "Chamfer", "%"]
-    of_both = ["", *columns, "paper's forward", *columns[1:]]
-    return [Table(of_both, _both(record), decimals=2), Table(header, rows, note=note)]
-
-
-def _both(record: Record) -> list[list[Any]]:
-    """A row for each cloud: our figures, then the paper's."""
-    rows, paper = [], record["paper"]
+    compared, paper = list[list[Any]](), record["paper"]
     for name, theirs in paper.items():
         row = record["summary"]["all"]["capnet"][name]
         changes: list[float | None] = [None, None]
@@ -270,48 +260,29 @@ def _both(record: Record) -> list[list[Any]]:
             ratios = row[TOTAL], theirs[2] / paper["before"][2]
             changes = [100.0 * (ratio - 1.0) for ratio in ratios]
         ours = [1e3 * row[key] for key in ("forward", "backward", "chamfer")]
-        rows.append([LETTERS[name], *ours, changes[0], *theirs, changes[1]])
-    return rows
+        compared.append([LETTERS[name], *ours, changes[0], *theirs, changes[1]])
+    of_both = ["", *columns, "paper's forward", *columns[1:]]
+    return [Table(of_both, compared, decimals=2), Table(header, rows, note=note)]
 
 
-def _row(category: str, name: str, group: Record) -> list[Any]:
-    before, row = group["capnet"]["before"], group["capnet"][name]
-    low, high = row["interval"]
-    head = [category, LETTERS[name], group["cases"], 1e3 * before["chamfer"], 1e3 * row["chamfer"]]
-    keys = ("median_ratio", "worst_ratio", "worse", VISIBLE, OCCLUDED)
-    ious = [group["iou"]["before"], group["iou"][name]]
-    figures = [row[TOTAL], f"{low:.3f} to {high:.3f}", *(row[key] for key in keys)]
-    return [*head, *figures, *ious, group["median_seconds"][name]]
-
-
-def draw(path: Path, record: Record, overwrite: bool = False) -> None:
+def grid(record: Record) -> list[list[Panel]]:
     """Chamfer after / before of every view by category; dotted: the paper's ratio of the means."""
     before = record["paper"]["before"][2]
     paper = {LETTERS[name]: record["paper"][name][2] / before for name in VARIANTS}
     panels = []
     for category, cases in {**grouped(record["cases"], "category"), "all": record["cases"]}.items():
-        sums = [
-            {name: row["forward"] + row["backward"] for name, row in case["capnet"].items()}
-            for case in cases
-        ]
-        rows = {LETTERS[name]: [row[name] / row["before"] for row in sums] for name in VARIANTS}
+        starts = _chamfers(cases, "before")
+        rows = {LETTERS[name]: _chamfers(cases, name) / starts for name in VARIANTS}
         panels.append(Panel(f"{category}, {len(cases)} views", rows, paper))
-    draw_ratios(path, [panels], overwrite)
+    return [panels]
 
 
 STUDY = Study(
     name="tso",
-    about="The paper's table. The network predicts each view of each shape; the prediction is "
-    "compared with the truth before and after moving the encoder (E), the whole network (E and D) "
-    "and the points (p), with the paper's settings.",
+    values={"IOU_MEANS": IOU_MEANS},
     parts=("pictures", "points, paper", "network modes, paper"),
     tables=tables,
-    draw=draw,
-    reading="The paper reports gains of 3 to 6 %. What a variant moves decides what it changes: "
-    "through the weights the whole cloud moves; points alone move where the mask asks for it. The "
-    "intervals are over shapes, as views of one shape are not independent. A gain counts only "
-    "where its whole interval lies below 1.",
-    convention=CONVENTION,
+    draw=ratios(grid),
     options=(
         *options.COMMON,
         options.CHECKPOINT,
