@@ -291,6 +291,26 @@ def test_files_of_an_item_are_known_before_it_begins():
     assert (given["source"], given["masks"]) == ("s3://c/a.ply", ("s3://c/m.png",))
 
 
+@pytest.mark.parametrize("output", [".", "in", "../here/in"])
+def test_no_item_writes_what_another_one_reads(tmp_path, monkeypatch, output):
+    folder = tmp_path / "here"
+    (folder / "in").mkdir(parents=True)
+    monkeypatch.chdir(folder)
+    name = "in/b.png" if output == "." else "b.png"
+    row = {"cloud": "a.ply", "mask": "a.png", "overlay": name}
+    other = {"cloud": "b.ply", "mask": "b.png"}
+    items = [Item("row 1", row), Item("row 2", other)]
+    message = r"row 1: would write .*b\.png, which row 2 reads"
+    assert_refused(message, options_of_items, items, "in", Path(output), False)
+    assert options_of_items(items, "elsewhere", Path(output), False)
+    # Its own input is replaced as by `tso refine --overwrite`.
+    own = [Item("row 1", {"cloud": "a.ply", "mask": "a.png", "output": "a.ply"})]
+    assert options_of_items(own, "", Path("."), False)
+    manifest = [Item("row 1", {**other, "write-camera": "m.json"})]
+    message = "which the manifest reads"
+    assert_refused(message, options_of_items, manifest, "", Path("."), False, (1, 1), "m.json")
+
+
 def test_a_shard_refuses_what_two_shards_would_write():
     items = [
         Item(f"row {n}", {"cloud": f"{n}.ply", "mask": "m.png", "report": "r.html"})

@@ -48,6 +48,33 @@ def test_a_record_names_inputs_from_its_own_folder_and_is_repeated_without_a_war
     assert repeated() == []
 
 
+def test_a_record_behind_a_link_is_repeated_too(record, tso):
+    """From a folder behind a link, .. leads elsewhere than its name says."""
+    Path("disk/big/results").mkdir(parents=True)
+    Path("link").symlink_to("disk/big/results")
+    first = tso("refine", "--config", record, "--record", "-o", "link/first.ply")
+    again = tso("refine", "--config", "link/first.record.json", "-o", "again.ply")
+    assert (first.code, again.code, again.err) == (0, 0, "")
+
+
+@pytest.mark.parametrize("name", ["o.json", "o.toml"])
+def test_an_option_that_a_file_has_twice_is_refused(folder, tso, name):
+    text = '{"steps": 1, "steps": 2}' if name == "o.json" else 'steps = 1\n"--steps" = 2\n'
+    Path(name).write_text(text)
+    refused = tso("refine", "initial.ply", "mask.png", "--config", name)
+    assert refused.code == 2
+    assert "steps is there twice" in refused.err
+
+
+def test_a_file_of_options_is_not_overwritten(folder, tso):
+    Path("o.json").write_text('{"steps": 1}')
+    arguments = ("--config", "o.json", "--write-camera", "o.json", "--overwrite")
+    refused = tso("refine", "initial.ply", "mask.png", *arguments)
+    assert refused.code == 2
+    assert "is the file of --config" in refused.err
+    assert Path("o.json").read_text() == '{"steps": 1}'
+
+
 def test_an_input_that_has_changed_since_the_record_is_named(repeated, record):
     moved()
     assert repeated() == [f"initial.ply: has changed since {record}, so the result may differ"]

@@ -25,7 +25,7 @@ def read_options(path: Path, expected: str) -> dict[str, Any]:
     data = read_bytes(path, expected, LARGEST)
     try:
         if path.suffix.lower() != ".toml":
-            document = json.loads(data)
+            document = json.loads(data, object_pairs_hook=_without_repeats)
         else:
             try:
                 import tomllib
@@ -66,9 +66,20 @@ def values_of(kind: type, command: str, path: Path, values: dict[str, Any]) -> d
             raise InputError(
                 f"{path}: {shown(key)} is no option of {command}, expected names such as {example}"
             )
+        if entry.name in options:
+            raise InputError(f"{path}: {plain(key)} is there twice, expected it once")
         with prefixed(f"{path}: {plain(key)} is "):
             options[entry.name] = value_of(entry, value, placed)
     return options
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object; ValueError if it has a key twice."""
+    document = dict(pairs)
+    if len(document) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"{plain(next(n for n in names if names.count(n) > 1))} is there twice")
+    return document
 
 
 def plain_name(name: str) -> str:

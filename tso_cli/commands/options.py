@@ -45,6 +45,8 @@ class FilePath(click.Path):
         self.words = words
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value == "":
+            self.fail("is empty, expected a path", param, ctx)
         path = Path(str(super().convert(value, param, ctx)))
         return path.absolute() if str(path) in self.words and str(value) != str(path) else path
 

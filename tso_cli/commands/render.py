@@ -58,7 +58,7 @@ class RenderOptions(RenderSettings):
         table=_families,
     )
     split: Path | None = opt(None)
-    part: Literal["train", "validation", "test"] = opt("train")
+    part: Literal["train", "validation", "test"] = opt("train", needs=("split",))
     categories: tuple[str, ...] = opt((), names=("category",), metavar="NAME")
     output: Path = opt(options.REQUIRED, heading="Output", names=("-o", "output"))
     overwrite: bool = options.overwrite()

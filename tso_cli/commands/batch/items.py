@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from functools import lru_cache
-from os.path import join, normpath, splitext
+from os.path import join, normpath, realpath, splitext
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -32,23 +32,33 @@ ORDER = {**dict.fromkeys(NAMED, 1), "output": 2, "source": 3, "masks": 4}
 
 
 def options_of_items(
-    items: Iterable[Item], folder: str, output: Path, strict: bool, shard: tuple[int, int] = (1, 1)
+    items: Iterable[Item],
+    folder: str,
+    output: Path,
+    strict: bool,
+    shard: tuple[int, int] = (1, 1),
+    manifest: Path | str = "-",
 ) -> list[tuple[str, ItemOptions]]:
     """The name of each item's result in the folder ``output``, and its options.
 
     Of all items there are those of the ``shard``; only those are checked whole. Paths are text,
     relative to ``folder``, a path or an address. Raises InputError with row and column for what
-    `tso refine` does not take, and for two outputs of one name.
+    `tso refine` does not take, for two outputs of one name, and for an output that is an input of
+    another item or the ``manifest``.
     """
     in_this_shard: list[tuple[str, ItemOptions]] = []
     writers: dict[str, str] = {}
+    readers = _Readers(folder, output)
+    readers.add("the manifest", [str(manifest)])
     checked_settings: set[tuple[Any, ...]] = set()
     for item in items:
         with prefixed(f"{item.place}: "):
             columns = _columns(tuple(item.values))
         options: dict[str, Any] = {"strict": True} if strict else {}
         for title, option in columns.items():
-            options[option.name] = _value(item, title, option, folder)
+            value = options[option.name] = _value(item, title, option, folder)
+            if option.plain is Path and option.option.role != "output":
+                readers.add(item.place, value if option.several else [value])
         name = _name(item, options)
         record = record_of(name)
         # Two results of one record are in one shard. Other files of one name may be in two.
@@ -75,7 +85,32 @@ def options_of_items(
             checked_settings.add(settings)
         options = {key: value for key, value in options.items() if value is not False}
         in_this_shard.append((name, options))
+    for file, writer in writers.items():
+        if reader := readers.other_than(writer, file):
+            raise InputError(
+                f"{writer}: would write {plain(file)}, which {reader} reads, expected another name"
+            )
     return in_this_shard
+
+
+class _Readers:
+    """Which rows read files below the folder ``output``; ``folder`` is that of the manifest."""
+
+    def __init__(self, folder: str, output: Path) -> None:
+        self._folder, self._real = join(folder, "") if folder else "", realpath(folder)
+        self._below = join(realpath(output), "")
+        self._places: dict[str, set[str]] = {}
+
+    def add(self, place: str, files: Iterable[str | None]) -> None:
+        for file in files:
+            name = (file or "").removeprefix(self._folder)
+            real = normpath(join(self._real, name)) if name else ""
+            if real.startswith(self._below):
+                self._places.setdefault(real[len(self._below) :], set()).add(place)
+
+    def other_than(self, writer: str, file: str) -> str:
+        """A row that reads what the row ``writer`` writes, or "". A row may replace its input."""
+        return min(self._places.get(file, set()) - {writer}, default="")
 
 
 def written_by(options: ItemOptions) -> list[str]:

@@ -45,6 +45,7 @@ class BatchRun:
             self.output,
             chosen.strict,
             chosen.shard or (1, 1),
+            chosen.manifest,
         )
         make_folder(self.output)
         journal_file, other_journals = journals_of(self.output, chosen.shard)

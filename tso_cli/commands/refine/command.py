@@ -47,13 +47,13 @@ def command(ctx: click.Context, options: RefineOptions) -> None:
     messages = ctx.with_resource(Warnings(options.quiet)).texts
     with loading():
         from .run import RefineRun
-    config = []
-    if CONFIG in ctx.meta:
+    config: Path | None = ctx.meta.get(CONFIG)
+    if config is not None:
         from .record import warn_of_changes
 
         warn_of_changes(ctx, options)
-        config = ["--config", str(ctx.meta[CONFIG])]
     typed = explicit_options(ctx, click.core.ParameterSource.DEFAULT_MAP)
-    line = command_line("refine", RefineOptions, typed, *config)
-    run = RefineRun(options, explicit_options(ctx), messages, line)
+    by_file = [] if config is None else ["--config", str(config)]
+    line = command_line("refine", RefineOptions, typed, *by_file)
+    run = RefineRun(options, explicit_options(ctx), messages, line, config)
     ctx.exit(run.check() if options.check else run.refine())

@@ -110,8 +110,11 @@ class RefineOutputs:
         }
         self.files = {"output": self.output, **self.next_to_it}
 
-    def check(self, inputs: list[Path]) -> None:
-        """InputError for an output that cannot be written or would replace another file."""
+    def check(self, inputs: list[Path], config: Path | None = None) -> None:
+        """InputError for an output that cannot be written or would replace another file.
+
+        A record may replace the record that the run repeats, but nothing the ``config``.
+        """
         check_suffix(self.output, self._suffix)
         for is_asked, suffixes, why in (
             (self.options.point_confidence, (".ply",), "to hold --point-confidence"),
@@ -126,6 +129,8 @@ class RefineOutputs:
         # A result that replaces its own input is checked by --overwrite.
         owners = {self.output.resolve(): "another file of this command"}
         owners |= {path.resolve(): "an input" for path in inputs}
+        if config is not None and not config.name.endswith(record_of("")):
+            owners[config.resolve()] = "the file of --config"
         for name, file in self.next_to_it.items():
             require_output(file, OUTPUTS[name].suffix, self.options.overwrite)
             if owner := owners.get(file.resolve()):

@@ -62,7 +62,9 @@ def options_of(explicit: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 def relative(path: Path, folder: Path) -> str:
     """``path`` as a record in ``folder`` names it."""
-    return Path(os.path.relpath(path, folder)).as_posix()
+    # "..", after a link, leads out of the folder that the link names.
+    place = os.path.join(os.path.realpath(path.parent), path.name)
+    return Path(os.path.relpath(place, os.path.realpath(folder))).as_posix()
 
 
 def read_config(ctx: click.Context, path: Path) -> None:
@@ -91,7 +93,7 @@ def _record(path: Path, document: dict[str, Any]) -> _Record:
             fault = f"{key} is {shown(document[key])}" if key in document else f"has no {key}"
             raise InputError(f"{path}: {fault}, expected a record of --record")
     inputs = document["inputs"].items()
-    digests = {os.path.abspath(path.parent / name): digest for name, digest in inputs}
+    digests = {os.path.realpath(path.parent / name): digest for name, digest in inputs}
     return _Record(path, document["version"], digests)
 
 
@@ -117,8 +119,8 @@ def warn_of_changes(ctx: click.Context, options: RefineOptions) -> None:
         if isinstance(path, Path)
     ]
     files = [path for path in RefineInputs(options).files if path not in typed]
-    places = set(map(os.path.abspath, files))
-    digests = {os.path.abspath(path): digest_of(path) for path in files if path.exists()}
+    places = set(map(os.path.realpath, files))
+    digests = {os.path.realpath(path): digest_of(path) for path in files if path.exists()}
     changes = {}
     for place, digest in digests.items():
         if record.inputs.get(place, digest) != digest:

@@ -6,6 +6,7 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from ...diagnosis.assumptions import left_handed
@@ -38,7 +39,12 @@ class RefineRun:
     """
 
     def __init__(
-        self, options: RefineOptions, explicit: Mapping[str, Any], messages: list[str], line: str
+        self,
+        options: RefineOptions,
+        explicit: Mapping[str, Any],
+        messages: list[str],
+        line: str,
+        config: Path | None = None,
     ) -> None:
         self._started = time.perf_counter()
         self._options, self._explicit = options, explicit
@@ -46,7 +52,7 @@ class RefineRun:
         self._inputs, self._outputs = RefineInputs(options), RefineOutputs(options)
         self._iterates = None
         if not options.check:
-            self._outputs.check(self._inputs.files)
+            self._outputs.check(self._inputs.files, config)
             self._iterates = self._outputs.recorder()
         self._scene = self._inputs.load()
         if options.verbose or (options.check and not options.quiet):
