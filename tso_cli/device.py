@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 from .errors import InputError
 
 if TYPE_CHECKING:
     import torch
+
+
+def for_training(name: str, precision: str) -> torch.device:
+    """The device ``name``; a warning says if it has no arithmetic of the ``precision``."""
+    device = resolve(name)
+    if precision == "bfloat16" and not has_bfloat16(device):
+        warnings.warn(
+            f"`device` {device} computes in bfloat16 only by detours, so that a step takes several "
+            "times as long; expected `precision` float32 here",
+            stacklevel=2,
+        )
+    return device
+
+
+def has_bfloat16(device: torch.device) -> bool:
+    """Whether a device multiplies matrices of bfloat16 as fast as those of float32."""
+    import torch
+
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    supported = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)
+    return device.type == "cpu" and bool(supported())
 
 
 def resolve(name: str) -> torch.device:

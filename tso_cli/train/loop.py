@@ -91,9 +91,8 @@ def start(
             f"the initial network predicts {network.decoder.points} points, "
             f"expected {config.points}"
         )
-    return new_state(
-        network, config.learning_rate, schedule, data.fingerprint(), devices.resolve(config.device)
-    )
+    device = devices.for_training(config.device, config.precision)
+    return new_state(network, config.learning_rate, schedule, data.fingerprint(), device)
 
 
 def train(

@@ -143,4 +143,5 @@ def _initial_state(
     if not outputs.resume:
         return start(data, config, load_network(named_checkpoint(initial))[0] if initial else None)
     about = network_config(data, config, 0)
-    return load_training(outputs.output, about, data.fingerprint(), devices.resolve(config.device))
+    device = devices.for_training(config.device, config.precision)
+    return load_training(outputs.output, about, data.fingerprint(), device)

@@ -80,7 +80,7 @@ def command(ctx: click.Context, chosen: TrainPriorOptions) -> None:
             "recipe": recipe and recipe.name,
         },
     )
-    device = devices.resolve(config.device)
+    device = devices.for_training(config.device, config.precision)
     weights = read_prior(initial)[0] if initial else random_weights(config.seed)
     if outputs.resume:
         about_state = check_resumable(outputs.output, config)
