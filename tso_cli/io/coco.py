@@ -62,7 +62,7 @@ class _Segmentations(Checked):
         segmentation = entries[number].get("segmentation", entries[number])
         if isinstance(segmentation, list):
             return self._of_polygons(segmentation, self._picture_of(entries[number]))
-        return self._of_run_lengths(segmentation)
+        return self._of_run_lengths(segmentation, self._picture_of(entries[number]))
 
     def _line(self, index: int, entry: dict[str, Any]) -> str:
         picture = self._picture_of(entry) if len(self._pictures) > 1 else entry
@@ -97,13 +97,18 @@ class _Segmentations(Checked):
             inside |= polygon2mask(size, corners[:, ::-1] - 0.5)
         return inside.astype(np.float32)
 
-    def _of_run_lengths(self, segmentation: dict[str, Any]) -> Floats:
+    def _of_run_lengths(self, segmentation: dict[str, Any], picture: dict[str, Any]) -> Floats:
         """Runs of background and foreground in turn, down the columns."""
         (rows, columns), counts = segmentation["size"], segmentation["counts"]
         height, width = self._size(rows, columns)
+        of_picture = [picture.get("height", height), picture.get("width", width)]
+        if of_picture != [height, width]:
+            raise self.error("size", f"{height} x {width}", f"that of its picture, {of_picture}")
         runs = _decoded(counts) if isinstance(counts, str) else counts
-        if not all(type(run) is int and run >= 0 for run in runs) or sum(runs) != height * width:
-            raise self.error("runs", kind(counts), f"lengths that add up to {height * width:,}")
+        if not all(type(run) is int and run >= 0 for run in runs):
+            raise self.error("runs", kind(counts), "whole numbers, 0 or more")
+        if (total := sum(runs)) != height * width:
+            raise self.error("total of runs", f"{total:,}", f"{height * width:,} by its size")
         inside: Bits = np.arange(len(runs)) % 2 == 1
         return np.repeat(inside, runs).reshape(width, height).T.astype(np.float32)
 

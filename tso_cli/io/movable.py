@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -95,6 +96,22 @@ class MovableFile(ABC):
 
     def require_movable(self) -> None:  # noqa: B027
         """Raise InputError if the file cannot be written with other points."""
+
+
+def in_unit(colours: Array, path: Path) -> Array:
+    """``colours`` [N, 3] in [0, 1]; whole numbers to 255 are shares of 255.
+
+    Raises InputError if they are neither.
+    """
+    low, high = colours.min(initial=0.0), colours.max(initial=0.0)
+    if high > 1.0 and (colours == np.rint(colours)).all():
+        colours, high = colours / 255.0, high / 255.0
+    if not (low >= 0.0 and high <= 1.0):
+        raise InputError(
+            f"{path}: its colours span {low:g} to {colours.max():g}, expected 0 to 1, or whole "
+            "numbers to 255"
+        )
+    return colours
 
 
 def in_words(names: Iterable[str]) -> str:

@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.normals import rigid_turn, turned_normals
 from ..geometry.polygons import triangulated
-from .movable import MovableFile
+from .movable import MovableFile, in_unit
 from .paint import Paint, Pictures
 from .ply_body import spliced
 from .reading import plain, require_memory
@@ -85,10 +85,10 @@ class ObjFile(MovableFile):
         self._spans = self._first_words(rows[b"v"], 3)
         self._normal_spans = self._first_words(rows[b"vn"], 3) if rows[b"vn"] else None
         self._texture_rows = rows[b"vt"]
-        coloured = all(len(spans) >= 6 for _, spans in rows[b"v"])
+        self._coloured = sum(len(spans) >= 6 for _, spans in rows[b"v"])
         self._colour_spans = (
             np.array([s[4:7] if len(s) > 6 else s[3:6] for _, s in rows[b"v"]])
-            if coloured
+            if self._coloured == len(rows[b"v"])
             else None
         )
         weights = [s[3:4] for _, s in rows[b"v"] if len(s) in (4, 7)]
@@ -168,13 +168,7 @@ class ObjFile(MovableFile):
         """Red, green and blue [V, 3] in [0, 1] after the coordinates of a vertex, or None."""
         if self._colour_spans is None:
             return None
-        colours = self._numbers(self._colour_spans)
-        if not (colours.min() >= 0.0 and colours.max() <= 1.0):
-            raise InputError(
-                f"{self.path}: its colours span {colours.min():g} to {colours.max():g}, expected "
-                "0 to 1"
-            )
-        return colours
+        return in_unit(self._numbers(self._colour_spans), self.path)
 
     def read_paint(self, pictures: Pictures) -> Paint | None:
         """map_Kd of the materials, or Kd; None if there is no picture and vertices have colours."""
@@ -210,7 +204,7 @@ class ObjFile(MovableFile):
         parts = {
             "materials": re.search(rb"^[ \t]*usemtl\b", self._lines, re.MULTILINE),
             "texture coordinates": re.search(rb"^[ \t]*vt\b", self._lines, re.MULTILINE),
-            "colours": self._colour_spans is not None,
+            "colours": self._coloured > 0,
             "normals": self._normal_spans is not None,
         }
         return [name for name, there in parts.items() if there]

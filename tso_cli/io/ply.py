@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array, Bits, Indices
 from ..geometry.polygons import triangulated
-from .movable import MovableFile
+from .movable import MovableFile, in_unit
 from .ply_body import BinaryBody, Change, TextBody, layout
 from .ply_header import Element, Property, parse_header
 from .reading import require_memory, shown
@@ -169,12 +169,7 @@ class PlyFile(MovableFile):
             return self._splat_colours()
         full = [1.0 if kind[0] == "f" else float(np.iinfo(kind).max) for kind in kinds]
         colours = self._body.columns(self._places_of(self.vertex, COLOURS), kinds) / full
-        if not (colours.min() >= 0.0 and colours.max() <= 1.0):
-            span = f"{colours.min():g} to {colours.max():g}"
-            raise InputError(
-                f"{self.path}: its colours span {span} of their type's range, expected 0 to 1"
-            )
-        return colours
+        return in_unit(colours, self.path)
 
     def read_normals(self) -> Array | None:
         """The normals [N, 3] of the vertices; None if the file has none."""
@@ -194,10 +189,11 @@ class PlyFile(MovableFile):
     @property
     def contents(self) -> list[str]:
         """What the file holds besides points and faces."""
-        names = set(self.vertex.properties)
+        names, face = set(self.vertex.properties), self.header.elements.get("face")
         normals = set().union(*NORMALS)
         parts = {
             "colours": not names.isdisjoint(COLOURS),
+            "colours of faces": face is not None and not face.properties.keys().isdisjoint(COLOURS),
             "normals": not names.isdisjoint(normals),
             "further properties": names - {*AXES, *COLOURS, *normals, "alpha"},
         }
