@@ -115,12 +115,12 @@ def write_thumbnail(path: Path, result: RefineResult, views: Sequence[View]) -> 
     side, gap = 96, 4  # px
     stages = stages_of(result, views[0], 0)
     window = common_window(stages)
-    both = Image.new("RGB", (2 * side + gap, side), "white")
+    canvas = Image.new("RGB", (2 * side + gap, side), "white")
     for number, (solid, stage) in enumerate(stages):
         colours = np.rint(compare(in_window(solid, stage, window)) * 255.0).astype(np.uint8)
         square = Image.fromarray(colours).resize((side, side), Image.Resampling.BOX)
-        both.paste(square, (number * (side + gap), 0))
-    both.quantize(16).save(path, format="PNG", optimize=True)
+        canvas.paste(square, (number * (side + gap), 0))
+    canvas.quantize(16).save(path, format="PNG", optimize=True)
 
 
 def _before_and_after(result: RefineResult, view: View, photo: Pixels | None) -> list[Row]:

@@ -63,20 +63,20 @@ def _parsed(path: Path, data: bytes) -> tuple[Arrays, dict[str, Any]]:
         about = _about(data)
         weights = load(data)
     except (SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
-        found = shown(str(error))
+        fault = shown(str(error))
         raise InputError(
-            f"{path}: is damaged or of another kind ({found}), expected {EXPECTED}"
+            f"{path}: is damaged or of another kind ({fault}), expected {EXPECTED}"
         ) from None
     if about.get("format") != FORMAT:
-        found = f"the format in its metadata is {shown(about.get('format'))}"
-        raise InputError(f"{path}: {found}, expected {FORMAT!r}: {EXPECTED}")
+        fault = f"the format in its metadata is {shown(about.get('format'))}"
+        raise InputError(f"{path}: {fault}, expected {FORMAT!r}: {EXPECTED}")
     for name, shape in shapes().items():
         if name not in weights:
             raise InputError(f"{path}: has no tensor {name}, expected shape {list(shape)}")
         if weights[name].shape != shape or weights[name].dtype != np.float16:
-            found = f"{weights[name].dtype} of shape {list(weights[name].shape)}"
+            fault = f"{weights[name].dtype} of shape {list(weights[name].shape)}"
             raise InputError(
-                f"{path}: tensor {name} is {found}, expected float16 of shape {list(shape)}"
+                f"{path}: tensor {name} is {fault}, expected float16 of shape {list(shape)}"
             )
         if not np.isfinite(weights[name]).all():
             raise InputError(f"{path}: tensor {name} holds NaN or infinite, expected numbers")

@@ -31,15 +31,15 @@ class Frame:
         """
         middle = points.mean(0)
         _, principal = np.linalg.eigh((points - middle).T @ (points - middle))
-        found = []
+        frames = []
         for axes in (np.eye(3), principal):
             low, high = trimmed_box((points - middle) @ axes)
             extent = high - low
             scale = float(extent.max()) or 1.0
             # A flat cloud has an area in place of a volume.
             volume = np.prod(extent / scale + THIN) * scale**3
-            found.append((volume, cls(middle + axes @ (low + high) / 2.0, scale)))
-        return min(found, key=lambda one: one[0])[1]
+            frames.append((volume, cls(middle + axes @ (low + high) / 2.0, scale)))
+        return min(frames, key=lambda one: one[0])[1]
 
 
 def trimmed_box(points: Array) -> tuple[Array, Array]:

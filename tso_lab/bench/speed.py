@@ -492,12 +492,12 @@ def _claims(of: Callable[..., Cases]) -> Iterator[tuple[str, bool, str]]:
             worst = max(median / on_one[work] for work, median in on_all.items())
             yield target, worst <= most, f"{worst:.2f}x at worst"
     for what, points, peer, factor in KERNELS:
-        ours, theirs = (
+        ours, of_peer = (
             [r["median"] for r in of(what, points=points) if r["name"].startswith(name)]
             for name in ("tso", peer)
         )
-        if ours and theirs:
-            ratio = min(theirs) / min(ours)
+        if ours and of_peer:
+            ratio = min(of_peer) / min(ours)
             text = f"{what} of {points:,} points: at least {factor:g}x faster than {peer}"
             yield text, ratio >= factor, f"{ratio:.1f}x"
 

@@ -69,14 +69,14 @@ def _pairs(points: Array, target: Array) -> tuple[Indices, Indices]:
     return of_points, np.concatenate([nearest_target, np.arange(len(target))])
 
 
-def _solved(rows: Array, wanted: Array, weights: Array, controls: Array) -> Array:
-    """Control points [64, 2] that move ``rows`` [P, 64] by ``wanted`` [P, 2], in least squares.
+def _solved(rows: Array, targets: Array, weights: Array, controls: Array) -> Array:
+    """Control points [64, 2] that move ``rows`` [P, 64] by ``targets`` [P, 2], in least squares.
 
     Damping holds them near ``controls`` [64, 2], those of the last round.
     """
     weighted = rows.T * weights
     system = weighted @ rows
     damping = DAMPING * np.trace(system) / len(system)
-    right_side = weighted @ wanted + damping * controls
+    right_side = weighted @ targets + damping * controls
     solution: Array = np.linalg.solve(system + damping * np.eye(len(system)), right_side)
     return solution

@@ -506,13 +506,13 @@ def conclude_lambda(cases: Cases) -> Record:
     }
     chairs = list(values["none"]) == [CHAIR]
     for form, by_weight in summary.items() if chairs else ():
-        theirs = {weight: by_weight[weight] for weight in LAMBDA_PAPER}
+        of_paper = {weight: by_weight[weight] for weight in LAMBDA_PAPER}
         best = min(by_weight, key=by_weight.__getitem__)
-        measured = ", ".join(f"{value:.2f}" for value in theirs.values())
+        measured = ", ".join(f"{value:.2f}" for value in of_paper.values())
         measured += f"; paper 4.63, 4.42, 5.3; best of all here: lambda = {best}, "
         measured += f"{by_weight[best]:.2f}"
         text = f"of 0.5e-4, 1e-4 and 5e-4, lambda = 1e-4 is the best (form {form!r})"
-        claims.append(claim(text, min(theirs, key=theirs.__getitem__) == "0.0001", measured))
+        claims.append(claim(text, min(of_paper, key=of_paper.__getitem__) == "0.0001", measured))
     return {"summary": summary, "paper": {CHAIR: LAMBDA_PAPER} if chairs else {}, "claims": claims}
 
 
@@ -578,13 +578,13 @@ def conclude_failures(cases: Cases) -> Record:
                 ),
             ]
     if ONE in summary:
-        one, four = summary[ONE], summary[FOUR]
-        depth, across = (one[key] / four[key] for key in ("depth", "across"))
+        of_one, of_four = summary[ONE], summary[FOUR]
+        depth, across = (of_one[key] / of_four[key] for key in ("depth", "across"))
         text = "cars trained with one mask are deformed in depth, more than across, and more masks "
         text += "correct it"
         measured = f"squared error in depth {depth:.2f} times that with four masks, across "
-        measured += f"{across:.2f} times; extent in depth {one['extent']:.2f} and "
-        measured += f"{four['extent']:.2f} of the truth"
+        measured += f"{across:.2f} times; extent in depth {of_one['extent']:.2f} and "
+        measured += f"{of_four['extent']:.2f} of the truth"
         claims.append(claim(text, depth > max(1.0, across), measured))
     return {"summary": summary, "claims": claims}
 

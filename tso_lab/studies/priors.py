@@ -224,7 +224,7 @@ def _columns(batch: Batch, result: Outcome) -> dict[str, NDArray[Any]]:
     deep = frame.views["measured"].flatten(2).amax(2)[:, 0].numpy() > 0.0
     # One cell of twenty: those of one mask are alike.
     inside = (frame.distance < 0.0)[:, 0].flatten()[::20].numpy()
-    said = result.answers.cells.unflatten(0, frame.distance.shape[:2])[:, 0, 0].sigmoid()
+    foreign = result.answers.cells.unflatten(0, frame.distance.shape[:2])[:, 0, 0].sigmoid()
     return {
         OTHER: ~matched.any(1),
         NEAR: matched.any(1) & of["shape"][:, 0],
@@ -236,7 +236,7 @@ def _columns(batch: Batch, result: Outcome) -> dict[str, NDArray[Any]]:
         "said": result.answers.troubles.sigmoid().double().numpy(),
         "true": troubles.reshape(-1, troubles.shape[-1]),
         "foreign": frame.foreign[:, 0].flatten()[::20].numpy()[inside] > 0.5,
-        "foreign_said": said.flatten()[::20].double().numpy()[inside],
+        "foreign_said": foreign.flatten()[::20].double().numpy()[inside],
     }
 
 

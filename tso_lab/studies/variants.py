@@ -253,14 +253,14 @@ def tables(record: Record) -> list[Table]:
             rows.append([*head, *figures, group["median_seconds"][name]])
     columns = ["forward", "backward", "Chamfer", "%"]
     compared, paper = list[list[Any]](), record["paper"]
-    for name, theirs in paper.items():
+    for name, of_paper in paper.items():
         row = record["summary"]["all"]["capnet"][name]
         changes: list[float | None] = [None, None]
         if name != "before":
-            ratios = row[TOTAL], theirs[2] / paper["before"][2]
+            ratios = row[TOTAL], of_paper[2] / paper["before"][2]
             changes = [100.0 * (ratio - 1.0) for ratio in ratios]
         ours = [1e3 * row[key] for key in ("forward", "backward", "chamfer")]
-        compared.append([LETTERS[name], *ours, changes[0], *theirs, changes[1]])
+        compared.append([LETTERS[name], *ours, changes[0], *of_paper, changes[1]])
     of_both = ["", *columns, "paper's forward", *columns[1:]]
     return [Table(of_both, compared, decimals=2), Table(header, rows, note=note)]
 

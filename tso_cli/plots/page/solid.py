@@ -60,23 +60,23 @@ def _points(
     result: RefineResult, file: PointCloud | None, start: Array, moved: Array, notes: list[str]
 ) -> dict[str, Any]:
     distance = np.maximum(np.abs(start).max(1), np.abs(moved).max(1))
-    shown = np.flatnonzero(~result.outliers & (distance < FARTHEST))
-    if len(shown) < len(start):
-        left_out = len(start) - len(shown)
+    drawn = np.flatnonzero(~result.outliers & (distance < FARTHEST))
+    if len(drawn) < len(start):
+        left_out = len(start) - len(drawn)
         what = "1 point is" if left_out == 1 else f"{left_out:,} points are"
         notes.append(f"{what} far from the rest, and not drawn.")
-    if len(shown) > MOST_POINTS:
-        every = len(shown)
-        shown = scattered(shown, MOST_POINTS)
+    if len(drawn) > MOST_POINTS:
+        every = len(drawn)
+        drawn = scattered(drawn, MOST_POINTS)
         notes.append(
-            f"The cloud is thinned for this page: {len(shown):,} of {every:,} points are drawn."
+            f"The cloud is thinned for this page: {len(drawn):,} of {every:,} points are drawn."
         )
     colours = file.source.read_colours() if file is not None and file.source else None
     return {
         "kind": "points",
-        "count": len(shown),
-        **_stages(start[shown], moved[shown]),
-        "colours": None if colours is None else text_of(_bytes(colours[shown])),
+        "count": len(drawn),
+        **_stages(start[drawn], moved[drawn]),
+        "colours": None if colours is None else text_of(_bytes(colours[drawn])),
     }
 
 

@@ -58,15 +58,15 @@ def signed_distance(mask: Bits, border: Border) -> Floats:
     inside. The part that is shown must have foreground and background.
     """
     cells = len(mask)
-    shown = mask[border.top : border.bottom, border.left : border.right]
-    outside = distance_transform_edt(~shown)
-    inside = distance_transform_edt(shown)
+    picture = mask[border.top : border.bottom, border.left : border.right]
+    outside = distance_transform_edt(~picture)
+    inside = distance_transform_edt(picture)
     # The outline lies half a cell from the centres of the cells next to it.
     cell = 2.0 * HALF_SIDE / cells
-    distance = np.where(shown, 0.5 - inside, outside - 0.5) * cell
+    distance = np.where(picture, 0.5 - inside, outside - 0.5) * cell
     centres = (np.arange(SCENE_GRID, dtype=np.float64) + 0.5) * (cells / SCENE_GRID) - 0.5
-    rows = _interpolation(centres - border.top, shown.shape[0])
-    columns = _interpolation(centres - border.left, shown.shape[1])
+    rows = _interpolation(centres - border.top, picture.shape[0])
+    columns = _interpolation(centres - border.left, picture.shape[1])
     return (rows @ distance @ columns.T).astype(np.float32)
 
 

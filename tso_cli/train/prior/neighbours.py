@@ -44,16 +44,16 @@ def find_neighbours(shapes: list[Shape], rng: np.random.Generator) -> Neighbours
     near, eligible = np.zeros((2, len(shapes)), np.int64)
     for category in np.unique(categories):
         members = np.flatnonzero(categories == category)
-        found = {}
+        ranked = {}
         for member in members.tolist():
             others = members[kinds[members] != kinds[member]]
             if len(others) > MOST_COMPARED:
                 others = rng.choice(others, MOST_COMPARED, replace=False)
             distances = _chamfer(points[member], points[others])
             ranks = np.argsort(distances, kind="stable")
-            found[member] = others[ranks], distances[ranks]
-        farthest = np.quantile(np.concatenate([d for _, d in found.values()]), FARTHEST_QUANTILE)
-        for member, (others, distances) in found.items():
+            ranked[member] = others[ranks], distances[ranks]
+        farthest = np.quantile(np.concatenate([d for _, d in ranked.values()]), FARTHEST_QUANTILE)
+        for member, (others, distances) in ranked.items():
             order[member, : len(others)] = others
             near[member] = min(NEAREST, len(others))
             eligible[member] = max(near[member], (distances <= farthest).sum())

@@ -73,16 +73,16 @@ def _depths(
 ) -> tuple[Tensor, Tensor]:
     """Depth maps as devices and networks give them [B, V, G, G], and which are metric [B, V]."""
     row = bank.of_depth[scene]
-    given = (row >= 0) & ~unrelated & (rng.random(scene.shape) < DEPTH_SHARE)
-    metric = given & (rng.random(scene.shape) >= FITTED_SHARE)
+    has_map = (row >= 0) & ~unrelated & (rng.random(scene.shape) < DEPTH_SHARE)
+    metric = has_map & (rng.random(scene.shape) >= FITTED_SHARE)
     maps = torch.full((*scene.shape, SCENE_GRID, SCENE_GRID), torch.nan, device=bank.device)
-    some = np.argwhere(given)
-    if len(some):
-        at, view = bank.tensor(some[:, 0]), bank.tensor(some[:, 1])
-        depth = bank.depth[bank.tensor(row[given]), view].float()
-        size = (len(some), SCENE_GRID, SCENE_GRID)
-        noisy = rng.random(len(some)) < NOISY_SHARE
-        scale = [rng.uniform(0.0, most, len(some)) * noisy for most in (CELL_NOISE, RELIEF_NOISE)]
+    places = np.argwhere(has_map)
+    if len(places):
+        at, view = bank.tensor(places[:, 0]), bank.tensor(places[:, 1])
+        depth = bank.depth[bank.tensor(row[has_map]), view].float()
+        size = (len(places), SCENE_GRID, SCENE_GRID)
+        noisy = rng.random(len(places)) < NOISY_SHARE
+        scale = [rng.uniform(0.0, most, len(places)) * noisy for most in (CELL_NOISE, RELIEF_NOISE)]
         cell, relief = (
             bank.tensor(values[:, None, None] * field)
             for values, field in zip(
@@ -91,7 +91,7 @@ def _depths(
         )
         middle = depth.flatten(1).nanmean(1)[:, None, None]
         depth = depth + cell + relief * 0.5 + relief * (depth - middle)
-        holes = rng.uniform(0.0, MOST_HOLES, len(some)) * (rng.random(len(some)) < HOLES_SHARE)
+        holes = rng.uniform(0.0, MOST_HOLES, len(places)) * (rng.random(len(places)) < HOLES_SHARE)
         field = _smooth(rng, size[0])
         bound = np.array([np.quantile(f, h) for f, h in zip(field, holes, strict=True)])
         hole = bank.tensor((field < bound[:, None, None]) & (holes > 0.0)[:, None, None])
