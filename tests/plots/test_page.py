@@ -25,7 +25,7 @@ from tso_cli.plots.page.pictures import outline, packed
 from tso_cli.plots.page.solid import (
     MOST_FACES,
     MOST_POINTS,
-    Surface,
+    MovedSurface,
     _simplified,
     _texture_uris,
     solid_of,
@@ -199,7 +199,7 @@ def test_a_point_far_from_the_rest_is_left_out_and_the_page_says_so(cloud):
 def test_a_large_mesh_is_simplified_and_keeps_its_shape():
     sphere = trimesh.creation.icosphere(6)  # 81,920 triangles
     vertices = np.asarray(sphere.vertices) / 2.0
-    small = _simplified(Surface(vertices, 1.1 * vertices, np.asarray(sphere.faces)))
+    small = _simplified(MovedSurface(vertices, 1.1 * vertices, np.asarray(sphere.faces)))
     assert len(sphere.faces) > MOST_FACES >= len(small.faces) > 0.3 * MOST_FACES
     np.testing.assert_allclose(small.result, 1.1 * small.start)
     np.testing.assert_allclose(np.linalg.norm(small.start, axis=1), 0.5)

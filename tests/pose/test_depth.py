@@ -11,7 +11,7 @@ from tso_cli.cloud.cloud import Cloud
 from tso_cli.evaluation.metrics import chamfer
 from tso_cli.io.meshes import read_mesh
 from tso_cli.pose.causes import find_move
-from tso_cli.pose.misfit import DepthMisfit, Surface
+from tso_cli.pose.misfit import DepthMisfit, DepthSurface
 from tso_cli.pose.placement import UNKNOWNS, Placements
 from tso_cli.pose.target import Target
 from tso_cli.render.folder import ground_truth, normalise
@@ -51,7 +51,7 @@ def _move(points, view, asked="similarity", keep="auto"):
 
 
 def test_the_visible_side_of_a_cloud_on_the_surface_misses_nothing_and_of_a_shifted_one_most():
-    surface = Surface.of(Target.of(_ball(), 64))
+    surface = DepthSurface.of(Target.of(_ball(), 64))
     there = Placements.unmoved()
     # One point in each block at least.
     many = np.concatenate([BALL @ about("y", 7.0 * turn).T for turn in range(30)])
@@ -66,7 +66,7 @@ def test_the_visible_side_of_a_cloud_on_the_surface_misses_nothing_and_of_a_shif
 
 
 def test_the_gradient_of_the_depth_misfit_is_half_its_slope():
-    surface = Surface.of(Target.of(_ball(), 64))
+    surface = DepthSurface.of(Target.of(_ball(), 64))
     misfit = DepthMisfit(BALL, [surface], 3.0)
     step = np.zeros((1, UNKNOWNS))
     step[:, :7] = [0.1, -0.2, 0.05, 0.02, -0.03, 0.05, 0.05]

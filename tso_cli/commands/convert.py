@@ -121,7 +121,7 @@ def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
 
 
 def _convert_cameras(chosen: ConvertOptions) -> None:
-    from ..io.cameras import CameraRecord, camera_text, read_partial_cameras, words_of
+    from ..io.cameras import CameraRecord, camera_text, form_of, read_partial_cameras
     from ..io.cameras.write_others import colmap_texts, folder_of, transforms_text
     from ..io.views import with_intrinsics
 
@@ -166,7 +166,7 @@ def _convert_cameras(chosen: ConvertOptions) -> None:
         ]
         write_file(target, camera_text(target, records).encode(), overwrite)
     count = f"{len(views)} camera{'s' if len(views) > 1 else ''}"
-    click.echo(f"{target}: {count} of {source} ({words_of(source_format)})")
+    click.echo(f"{target}: {count} of {source} ({form_of(source_format)})")
 
 
 def _picture(view: PartialCamera, number: int, folder: Path) -> str:

@@ -23,12 +23,12 @@ from .cameras import (
     Intrinsics,
     PartialCamera,
     find_camera,
+    form_of,
     named_images,
     of_horizontal_angle,
     paired,
     read_partial_cameras,
     same_shape,
-    words_of,
 )
 from .images import focal_length_of_exif, orientation, read_depth, read_image, resized
 from .masks import MaskChoice, read_mask
@@ -114,7 +114,7 @@ class CameraOrigin:
     @property
     def words(self) -> str:
         """What the format is, if it is not tso's own."""
-        return "" if self.format == OWN_FORMAT else words_of(self.format)
+        return "" if self.format == OWN_FORMAT else form_of(self.format)
 
 
 def summary_of(origins: Sequence[CameraOrigin]) -> str:

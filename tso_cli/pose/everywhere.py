@@ -73,7 +73,7 @@ REPAINTED = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Candidates:
+class Poses:
     """Placements that fit, best first, none within 20 degrees of a better one.
 
     missed : [P], as `Comparison.missed`. iou : [P], `closed_iou`.
@@ -83,13 +83,13 @@ class Candidates:
     missed: Array
     iou: Array
 
-    def __getitem__(self, rows: Indices) -> Candidates:
-        return Candidates(self.placements[rows], self.missed[rows], self.iou[rows])
+    def __getitem__(self, rows: Indices) -> Poses:
+        return Poses(self.placements[rows], self.missed[rows], self.iou[rows])
 
 
 def search_everywhere(
     comparison: Comparison, points: Array, views: Sequence[View], freedom: Freedom
-) -> Candidates:
+) -> Poses:
     """The placements that fit ``views``, from starts in all directions.
 
     1. 2,700 placements are scored by coarse silhouettes.
@@ -119,7 +119,7 @@ def search_everywhere(
             iou = closed_iou(points, by_cells, comparison.targets, gap)
             placements = by_cells[distinct(by_cells.R, iou, APART, len(by_cells))]
     iou = closed_iou(points, placements, comparison.targets, gap)
-    return Candidates(placements, comparison.missed(placements), iou)
+    return Poses(placements, comparison.missed(placements), iou)
 
 
 def starts(points: Array, targets: Sequence[Target], freedom: Freedom) -> tuple[Placements, Array]:

@@ -15,7 +15,7 @@ from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.rotations import angle_between, nearest_rotation
 from ..geometry.view import View
 from .appearance import appearance, decides
-from .everywhere import Candidates, search_everywhere, spread_indices, unlike_first
+from .everywhere import Poses, search_everywhere, spread_indices, unlike_first
 from .levenberg import Freedom
 from .placement import FOCAL, SHIFT, TURN, UNKNOWNS, Placements
 from .search import EXPLAINED, SURE_GAP, Comparison
@@ -222,7 +222,7 @@ def fit_camera(
     )
 
 
-def _order_by_photo(candidates: Candidates, likeness: Array) -> Indices:
+def _order_by_photo(candidates: Poses, likeness: Array) -> Indices:
     """The order of the candidates with the one first that the photo shows to be right.
 
     It is one of those that fit about as well as the best. ``likeness`` : their `appearance` [P].
@@ -243,7 +243,7 @@ def _camera(camera: Camera, placement: Placements, centre: Array, unit: float) -
     return replace(camera, K=K, R=R, t=unit * placement.t[0] - R @ centre)
 
 
-def _focal_factors(comparison: Comparison, candidates: Candidates) -> Array:
+def _focal_factors(comparison: Comparison, candidates: Poses) -> Array:
     """The factors of the focal length that fit as well as the best, and that of the best.
 
     The rest of the pose is fitted to each.

@@ -18,7 +18,7 @@ from ..geometry.points import scattered
 from ..geometry.resampling import blurred
 from .levenberg import System
 from .placement import GROWTH, UNKNOWNS, Placements
-from .target import Projected, Target
+from .target import ProjectedCloud, Target
 
 # Distances under half a cell are inside a cell and count as 0.
 TOLERANCE = 0.5
@@ -238,7 +238,7 @@ class _Near:
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class DepthSurface:
     """The depth map of one view where it is smooth."""
 
     target: Target
@@ -248,7 +248,7 @@ class Surface:
     blocks: int  # how many blocks have a known cell
 
     @classmethod
-    def of(cls, target: Target) -> Surface:
+    def of(cls, target: Target) -> DepthSurface:
         assert target.depth is not None
         down, right = np.gradient(target.depth)
         slope = np.stack([right, down], -1)
@@ -267,7 +267,7 @@ class Surface:
         by_placement = [times[placement == number] for number in range(len(placements))]
         return np.array([np.median(ratios) if len(ratios) else 1.0 for ratios in by_placement])
 
-    def foremost(self, projected: Projected) -> tuple[Indices, Indices, Indices, Indices]:
+    def foremost(self, projected: ProjectedCloud) -> tuple[Indices, Indices, Indices, Indices]:
         """For each placement and block the foremost point: placement, point, and its cell's row
         and column, by placement.
         """
@@ -294,7 +294,7 @@ class DepthMisfit:
     """
 
     points: Array  # [N, 3]
-    surfaces: Sequence[Surface]
+    surfaces: Sequence[DepthSurface]
     robust: float
 
     def __call__(self, placements: Placements) -> System:

@@ -14,7 +14,7 @@ from ..geometry.points import scattered
 from ..geometry.rotations import lattice
 from ..geometry.view import View
 from .levenberg import Freedom, Misfit, improve
-from .misfit import Contour, ContourMisfit, DepthMisfit, NearestMisfit, Surface
+from .misfit import Contour, ContourMisfit, DepthMisfit, DepthSurface, NearestMisfit
 from .placement import SIZE, TURN, UNKNOWNS, Placements
 from .target import Part, Target
 
@@ -71,7 +71,7 @@ class Comparison:
     points: Array
     targets: tuple[Target, ...]
     contours: tuple[Contour, ...]
-    surfaces: tuple[Surface, ...]  # of the views with a depth map
+    surfaces: tuple[DepthSurface, ...]  # of the views with a depth map
 
     @cached_property
     def outline(self) -> float:
@@ -87,7 +87,7 @@ class Comparison:
         """``parts`` : what of each view counts; all of it by default."""
         pairs = zip(views, parts or [None] * len(views), strict=True)
         targets = tuple(Target.of(view, SIDE, part) for view, part in pairs)
-        surfaces = [Surface.of(target) for target in targets if target.depth is not None]
+        surfaces = [DepthSurface.of(target) for target in targets if target.depth is not None]
         smooth = tuple(surface for surface in surfaces if surface.blocks)
         return cls(_mixed(points), targets, tuple(map(Contour.of, targets)), smooth)
 

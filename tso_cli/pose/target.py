@@ -41,7 +41,7 @@ def square_around(view: View) -> Box:
 
 
 @dataclass(frozen=True, eq=False)
-class Projected:
+class ProjectedCloud:
     """A cloud as one camera sees it at each of P placements."""
 
     px: Array  # [P, N, 2] column and row
@@ -157,7 +157,7 @@ class Target:
         row = (distance[None] + apart[:, :, None]).argmin(1)
         return np.stack([column[row, number], row], -1).astype(np.float64)
 
-    def project(self, points: Array, placements: Placements) -> Projected:
+    def project(self, points: Array, placements: Placements) -> ProjectedCloud:
         """``points`` [N, 3] at each of the placements."""
         turned, placed = placements.of(points)
         in_camera = placed @ self.camera.R.T + self.camera.t
@@ -170,7 +170,7 @@ class Target:
         offset[..., 1] *= placements.aspect[:, None]
         middle = self.camera.K[:2, 2] + self.picture * placements.centre
         px, depth = offset + middle[:, None], in_camera[..., 2]
-        return Projected(px, offset, depth, inverse, turned, self, placements)
+        return ProjectedCloud(px, offset, depth, inverse, turned, self, placements)
 
     def at(self, px: Array) -> tuple[Indices, Indices, Bits]:
         """Row and column of the cells of ``px`` [..., 2], clipped, and which px are within."""

@@ -13,7 +13,7 @@ from ...geometry.camera import Camera
 from ..images import has_alpha
 from ..reading import is_there
 from . import of_bop
-from .formats import FORMATS, read_partial_cameras, words_of
+from .formats import FORMATS, form_of, read_partial_cameras
 from .matching import paired
 from .record import (
     CameraRecord,

@@ -77,7 +77,7 @@ def read_partial_cameras(
         name, reader = _recognised(source)
     if object_id is not None and name != "bop":
         raise InputError(
-            f"{path}: is {words_of(name)}, `object` {object_id} chooses an object of "
+            f"{path}: is {form_of(name)}, `object` {object_id} chooses an object of "
             f"{FORMATS['bop'][0]}"
         )
     if name in FORMATS:
@@ -89,11 +89,11 @@ def read_partial_cameras(
         with guarded(path, name, EXPECTED):
             views = reader.read(source)
     if not views:
-        raise InputError(f"{path}: is {words_of(name)} and holds no camera, expected one or more")
+        raise InputError(f"{path}: is {form_of(name)} and holds no camera, expected one or more")
     return views, name
 
 
-def words_of(name: str) -> str:
+def form_of(name: str) -> str:
     """What the format ``name`` is, in words."""
     return FORMATS[name][0] if name in FORMATS else f"the format {name}"
 

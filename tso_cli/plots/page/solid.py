@@ -31,7 +31,7 @@ FINEST_CELLS, COARSER = 4096, 0.8
 
 
 @dataclass
-class Surface:
+class MovedSurface:
     """Triangles and their looks. ``of_face`` [F] : the texture of each, -1 for none."""
 
     start: Array
@@ -103,7 +103,7 @@ def _mesh(file: PointCloud, start: Array, moved: Array, notes: list[str]) -> dic
     pictures = Pictures(file.path)
     paint = file.source.paint(pictures) if file.source else None
     notes += [f"A texture is not drawn: {line}." for line in pictures.missing]
-    surface = Surface(start, moved, faces)
+    surface = MovedSurface(start, moved, faces)
     if paint is None:
         colours = file.colours()
         surface.vertex_colours = None if colours is None else _bytes(colours)
@@ -142,7 +142,7 @@ def _mesh(file: PointCloud, start: Array, moved: Array, notes: list[str]) -> dic
     }
 
 
-def _put_on(surface: Surface, paint: Paint) -> None:
+def _put_on(surface: MovedSurface, paint: Paint) -> None:
     """Give the surface the textures and the colours of a paint."""
     if paint.textures:
         surface.of_face = paint.texture_of_face
@@ -153,7 +153,7 @@ def _put_on(surface: Surface, paint: Paint) -> None:
         surface.face_colours = _bytes(paint.corners.mean(1))
 
 
-def _simplified(surface: Surface) -> Surface:
+def _simplified(surface: MovedSurface) -> MovedSurface:
     """The surface with equal vertices joined, and with near ones joined until it is small."""
     cells = float(FINEST_CELLS)
     low = surface.start.min(0)
@@ -175,7 +175,7 @@ def _simplified(surface: Surface) -> Surface:
     # Vertices without a face would only widen the steps of the coordinates.
     used, numbered = np.unique(faces[kept], return_inverse=True)
     first = first[used]
-    return Surface(
+    return MovedSurface(
         surface.start[first],
         surface.result[first],
         numbered.reshape(-1, 3),
