@@ -232,8 +232,9 @@ def test_a_mesh_whose_textures_are_too_large_is_drawn_without_them_and_the_page_
     assert refine("box.glb", "mask.png", *arguments).code == 0
     drawn = solid(Path("page.html").read_text())
     assert drawn["textures"] == []
+    (note,) = drawn["notes"]
     words = "the texture 'number 0' is one too many: expected at most 64 pixels in all"
-    assert drawn["notes"] == [f"A texture is not drawn: {words}."]
+    assert note.startswith(f"A texture is not drawn: {words}")
 
 
 def test_a_picture_that_two_parts_share_is_drawn_in_the_colour_of_each():
