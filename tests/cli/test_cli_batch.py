@@ -22,6 +22,7 @@ from tso_cli.batch.journal import ENDS, entries
 from tso_cli.batch.manifest import Item
 from tso_cli.commands.batch.command import command as batch_command
 from tso_cli.commands.batch.items import OF_BATCH, options_of_items, written_by
+from tso_cli.commands.refine.record import key_of
 from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_lab.bench.scale import conclude, long_batch, processes_of, write_poison
@@ -89,6 +90,23 @@ def test_the_second_run_does_only_what_is_left_or_changed(items, tso):
     assert "3 of 3 items: 2 done, 1 refused" in third.out
     assert "2 ended in earlier runs" in third.out
     assert third.code == 3
+
+
+def test_a_file_that_an_item_asks_for_later_is_made(items, tso):
+    items(HEADER, row("a.ply"))
+    assert tso("batch", "items.csv", "-o", "out", "-q").code == 0
+    items(f"{HEADER},overlay", row("a.ply", more="2,best,a.png"))
+    for skipped in (0, 1):
+        again = tso("batch", "items.csv", "-o", "out", "--json").document
+        assert (again["done"], again["skipped"]) == (1, skipped)
+        assert Path("out/a.png").is_file()
+
+
+def test_the_key_of_an_item_says_what_each_of_its_files_is():
+    item = {"source": Path("a.ply"), "masks": (Path("a.png"), Path("b.png"))}
+    other = {"source": Path("a.ply"), "masks": (Path("a.png"),)}
+    ways = [item, {**other, "ignore": (Path("b.png"),)}, {**other, "depth": (Path("b.png"),)}]
+    assert len({key_of(way, ["1", "2", "3"]) for way in ways}) == len(ways)
 
 
 def test_results_that_are_not_of_this_batch_are_not_replaced(items, tso):

@@ -56,6 +56,12 @@ def test_a_hypothesis_about_the_whole_input_is_tried_by_its_name(name):
             "--assume opengl@b.png",
         ),
         (
+            SIX,
+            Finding("opengl", (1, 4)),
+            "for 1.png, 4.png alone the camera's axes are OpenGL's (y up, z backward)",
+            "--assume opengl@1.png --assume opengl@4.png",
+        ),
+        (
             ONE,
             Finding("cloud-z-up", (0,), without=wrong("cloud-z-up")),
             "--assume cloud-z-up is wrong",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tests.readme import ROOT
@@ -34,8 +35,6 @@ def a_glb(tmp_path, matrix=None, twice=False, textured=False):
     """A box in a scene that trimesh writes, with normals; the file and the mesh."""
     mesh = trimesh.creation.icosphere(2, 0.5)
     if textured:
-        from PIL import Image
-
         uv = mesh.vertices[:, :2] + 0.5
         picture = Image.fromarray(np.arange(192, dtype=np.uint8).reshape(8, 8, 3))
         mesh = trimesh.Trimesh(
@@ -660,6 +659,40 @@ def test_a_file_of_torch_before_1_6_is_read(tmp_path):
 )
 def test_a_file_of_another_kind_than_its_suffix_says_so(save, name, content, says):
     assert_refused(says, read_cloud, save(name, content))
+
+
+def test_names_and_options_in_a_material_file_are_read_as_programs_write_them(save, tmp_path):
+    Image.new("RGB", (2, 2), (255, 0, 0)).save(tmp_path / "wood 1.png")
+    save("a.mtl", "newmtl plain\nKd 0 1 0\n")
+    save("b.mtl", "newmtl pine\nmap_Kd -s 2 2 1 -o 0.5 -clamp on wood 1.png\n")
+    text = "\ufeffmtllib a.mtl b.mtl # two\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0.5\n"
+    path = save("m.obj", f"{text}usemtl plain\nf 1 2 3\nusemtl pine # wood\nf 1/1 2/2 3/3\n")
+    paint = read_mesh(path).paint
+    assert paint.corners[0].tolist() == [[0.0, 1.0, 0.0]] * 3
+    (texture,) = paint.textures
+    assert texture.faces.tolist() == [1]
+    assert texture.corners[0].tolist() == [[0.5, 0.0], [2.5, 0.0], [1.5, 0.0]]
+    assert texture.wraps == ("clamp", "clamp")
+
+
+@pytest.mark.parametrize(
+    ("material", "fault"),
+    [("Kd red", "has a Kd that is not three numbers"), ("map_Kd " + "n" * 300, "is not in this")],
+)
+def test_one_damaged_material_leaves_the_others(save, material, fault):
+    save("a.mtl", f"newmtl good\nKd 0 1 0\nnewmtl bad\n{material}\n")
+    text = "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl good\nf 1 2 3\nusemtl bad\nf 1 2 3\n"
+    path = save("m.obj", text)
+    with pytest.warns(UserWarning, match=fault):
+        assert read_mesh(path).paint.corners[:, 0].tolist() == [[0.0, 1.0, 0.0], [1.0, 1.0, 1.0]]
+
+
+def test_a_node_that_mirrors_its_mesh_does_not_turn_it_inside_out(tmp_path):
+    scene, mirror = trimesh.Scene(), np.diag([-1.0, 1.0, 1.0, 1.0])
+    scene.add_geometry(trimesh.creation.box((1.0, 0.6, 0.3)), transform=mirror)
+    scene.export(tmp_path / "mirrored.glb")
+    mesh = read_mesh(tmp_path / "mirrored.glb")
+    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume == pytest.approx(0.18)
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".off"])

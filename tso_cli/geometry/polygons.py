@@ -6,16 +6,17 @@ import numpy as np
 
 from .arrays import Array, Indices
 
-# Corners of a concave polygon whose ears are cut off one by one, which takes their square in steps.
-MOST_CORNERS = 2000
+# A polygon with more corners remains a fan, even where that is wrong: to cut off one ear after the
+# other takes a time that grows with their square, or more.
+MOST_CORNERS = 500
 
 
 def triangulated(points: Array, corners: Indices, lengths: Indices) -> Indices:
     """Places [T, 3] in ``corners``: the triangles of polygons, in the polygons' order.
 
     ``corners`` are the polygons one after another, ``lengths`` [P] corners each, as indices of
-    ``points`` [N, 3]. A convex polygon becomes a fan around its first corner. Of a concave one the
-    fan would leave the polygon: its ears are cut off (Meisters, "Polygons have ears", 1975).
+    ``points`` [N, 3]. A polygon becomes a fan around its first corner. Where this fan would leave
+    the polygon, its ears are cut off one by one (Meisters, "Polygons have ears", 1975).
     """
     firsts, counts = np.cumsum(lengths) - lengths, np.maximum(lengths - 2, 0)
     ends = np.cumsum(counts)
@@ -51,12 +52,14 @@ def _ears(points: Array, normal: Array) -> Indices:
 
     rest, triangles = list(range(len(points))), []
     while len(rest) > 3:
+        others = np.array(rest)
         for place, corner in enumerate(rest):
             before, after = rest[place - 1], rest[(place + 1) % len(rest)]
-            others = np.array([other for other in rest if other not in (before, corner, after)])
+            if left_of(before, corner, after) <= 0.0:
+                continue
+            # The corners of the triangle lie on its sides, not inside.
             sides = ((before, corner), (corner, after), (after, before))
-            inside = np.all([left_of(*side, others) > 0.0 for side in sides], axis=0)
-            if left_of(before, corner, after) > 0.0 and not inside.any():
+            if not np.all([left_of(*side, others) > 0.0 for side in sides], axis=0).any():
                 break
         else:  # of a polygon that crosses itself
             before, corner, after = rest[:3]

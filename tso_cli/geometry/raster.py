@@ -33,7 +33,7 @@ def covered(triangles: Array, height: int, width: int) -> NDArray[np.uint8]:
     begin = np.ceil(np.where(crosses, crossing, np.inf).min(1)).clip(0, width)
     end = np.floor(np.where(crosses, crossing, -np.inf).max(1)).clip(-1, width - 1)
     crossed = begin <= end
-    # The sum along a row over spans that begin and have ended is positive inside one.
+    # The spans that have begun, less those that have ended, are the triangles over a sample.
     size, first_cell = height * (width + 1), row[crossed] * (width + 1)
     begun = np.bincount(first_cell + begin[crossed].astype(np.int64), minlength=size)
     ended = np.bincount(first_cell + end[crossed].astype(np.int64) + 1, minlength=size)
@@ -41,16 +41,16 @@ def covered(triangles: Array, height: int, width: int) -> NDArray[np.uint8]:
     return inside.astype(np.uint8)
 
 
-def mostly_covered(triangles: Array, height: int, width: int, across: int = ACROSS) -> Bits:
+def mostly_covered(triangles: Array, height: int, width: int) -> Bits:
     """The cells [height, width] that lie by more than half in ``triangles`` [F, 3, 2].
 
-    A cell has ``across`` times ``across`` samples. Corners are columns and rows of samples, as in
+    A cell has `ACROSS` times `ACROSS` samples. Corners are columns and rows of samples, as in
     `covered`.
     """
-    marks = covered(triangles, across * height, across * width)
+    marks = covered(triangles, ACROSS * height, ACROSS * width)
     # Sums of slices take a tenth of the time of a sum over two axes.
     hits = np.zeros((height, width), np.uint8)
-    for number in range(across * across):
-        hits += marks[number // across :: across, number % across :: across]
-    mask: Bits = 2 * hits > across * across
+    for number in range(ACROSS**2):
+        hits += marks[number // ACROSS :: ACROSS, number % ACROSS :: ACROSS]
+    mask: Bits = 2 * hits > ACROSS**2
     return mask

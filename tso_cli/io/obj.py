@@ -43,7 +43,7 @@ _Row = tuple[int, list[tuple[int, int]]]
 
 
 class _Face(NamedTuple):
-    """The words of a face, and vertices, texture points and normals of the file before it."""
+    """The words of a face; ``before``: how many lines of v, vt and vn precede it."""
 
     words: list[bytes]
     before: tuple[int, int, int]
@@ -64,8 +64,8 @@ class ObjFile(MovableFile):
     def __init__(self, data: bytes, path: Path) -> None:
         self.data, self.path = data, path
         require_memory(path, 20 * len(data))
-        # Spaces in place of the line break keep every byte where it is.
         self._lines = _LONE_RETURN.sub(b"\n", data)
+        # Spaces in place of the line break keep every byte where it is.
         text = _CONTINUED.sub(lambda match: b" " * len(match[0]), self._lines)
         rows: dict[bytes, list[_Row]] = {b"v": [], b"vt": [], b"vn": []}
         self._faces: list[_Face] = []
@@ -82,8 +82,8 @@ class ObjFile(MovableFile):
                 rows[kind].append((begin, spans))
         if not rows[b"v"]:
             raise InputError(f"{path}: holds no vertex (v x y z), expected some")
-        self._spans = self._first_words(rows[b"v"], 3)
-        self._normal_spans = self._first_words(rows[b"vn"], 3) if rows[b"vn"] else None
+        self._spans = self._first_three(rows[b"v"])
+        self._normal_spans = self._first_three(rows[b"vn"]) if rows[b"vn"] else None
         self._texture_rows = rows[b"vt"]
         self._coloured = sum(len(spans) >= 6 for _, spans in rows[b"v"])
         self._colour_spans = (
@@ -107,16 +107,15 @@ class ObjFile(MovableFile):
         count = 0 if self._normal_spans is None else len(self._normal_spans)
         self._normals = self._indices(2, count)[self._places]  # [F, 3], -1 for none
 
-    def _first_words(self, rows: list[_Row], count: int) -> Indices:
-        """[N, count, 2], begin and end of the first ``count`` words of each row."""
+    def _first_three(self, rows: list[_Row]) -> Indices:
+        """[N, 3, 2], begin and end of the first three words of each row."""
         for begin, spans in rows:
-            if len(spans) < count:
+            if len(spans) < 3:
                 line = self._lines.count(b"\n", 0, begin) + 1
                 raise InputError(
-                    f"{self.path}: line {line} has {len(spans)} numbers, expected "
-                    f"{'x, y and z' if count == 3 else 'u and v'}"
+                    f"{self.path}: line {line} has {len(spans)} numbers, expected x, y and z"
                 )
-        return np.array([spans[:count] for _, spans in rows], dtype=np.int64)
+        return np.array([spans[:3] for _, spans in rows], dtype=np.int64)
 
     def _numbers(self, spans: Indices) -> Array:
         values = np.empty(spans.shape[:2])
@@ -178,9 +177,11 @@ class ObjFile(MovableFile):
         of_faces = [names[place] for place in self._places[:, 0].tolist()]
         materials = obj_paint.read_materials(self.files_named(self._lines), pictures)
         points = self._indices(1, len(self._texture_rows))[self._places]
-        # v may be missing; a third number is of textures in space.
-        rows = [(begin, [*spans, *spans][:2]) for begin, spans in self._texture_rows]
-        coordinates = self._numbers(self._first_words(rows, 2)) if rows else np.empty((0, 2))
+        coordinates = np.zeros((len(self._texture_rows), 2))  # v may be missing
+        for part in (0, 1):
+            rows = [row for row, (_, spans) in enumerate(self._texture_rows) if len(spans) > part]
+            spans = [self._texture_rows[row][1][part : part + 1] for row in rows]
+            coordinates[rows, part] = self._numbers(np.array(spans).reshape(-1, 1, 2))[:, 0]
         paint = obj_paint.painted(of_faces, materials, points, coordinates, pictures)
         coloured = self._colour_spans is not None
         return paint if paint.textures or not coloured else None

@@ -21,7 +21,7 @@ _OPTION = re.compile(
 
 @dataclass
 class Material:
-    """scale, offset : [2], of texture coordinates."""
+    """A material of an .mtl file; scale and offset [2] are of texture coordinates."""
 
     colour: tuple[float, ...] = (1.0, 1.0, 1.0)
     picture: str = ""  # the name of the file
@@ -51,7 +51,7 @@ def painted(
             pictures.miss(text, "is in none of its material files", "material")
         of_name[name] = material or Material()
     colours = np.array([of_name[name].colour for name in names]).reshape(-1, 1, 3)
-    of_faces, textures = np.array([*names, None], dtype=object)[:-1], []
+    of_faces, textures = np.array(names, dtype=object), []
     for name, material in of_name.items():
         faces = np.flatnonzero((of_faces == name) & (corners >= 0).all(1))
         pixels = pictures.of_file(material.picture) if material.picture else None
@@ -97,13 +97,14 @@ def _read_picture(material: Material, text: str) -> None:
     """Read the value of a map_Kd: options, and the name of the file."""
     while option := _OPTION.match(text):
         text = text[option.end() :]
-        values = option[2].split()
-        if option[1] == "clamp":
-            material.wrap = "clamp" if values == ["on"] else "repeat"
-        elif option[1] == "s":
-            material.scale = _pair(values, 1.0)
-        elif option[1] == "o":
-            material.offset = _pair(values, 0.0)
+        name, values = option[1].lower(), option[2].split()
+        with suppress(ValueError):  # of words in place of numbers
+            if name == "clamp":
+                material.wrap = "clamp" if values == ["on"] else "repeat"
+            elif name == "s":
+                material.scale = _pair(values, 1.0)
+            elif name == "o":
+                material.offset = _pair(values, 0.0)
     material.picture = text
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -154,9 +155,10 @@ class Pictures:
             # Options of map_Kd that are not known come before the name.
             slashed = slashed.split()[-1]
         for candidate in (slashed, slashed.rpartition("/")[2]):
-            place = (self._folder / candidate).resolve()
-            if place.is_relative_to(self._within) and place.is_file():
-                return place
+            with suppress(OSError, ValueError):  # of names that no file can have
+                place = (self._folder / candidate).resolve()
+                if place.is_relative_to(self._within) and place.is_file():
+                    return place
         self.miss(name, "is not in this folder or below", what)
         return None
 

@@ -99,8 +99,7 @@ class FittedCamera:
         if number > len(self.alternatives):
             count = len(self.alternatives)
             raise InputError(
-                f"pose {number} was asked for, expected at most {count}: 1 + {count} poses were "
-                "found"
+                f"`pose_index` is {number}, expected at most {count}: so many other poses fit"
             )
         best = self.alternatives[number - 1]
         first = Alternative(self.camera, self.iou, self.missed, 0.0)

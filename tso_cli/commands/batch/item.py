@@ -65,8 +65,11 @@ def _key(task: Task) -> tuple[str, dict[str, str]]:
 
 def unchanged(task: Task) -> bool:
     """Whether the inputs and settings of an item have the key of its last end."""
-    files = (task.options["output"], record_of(task.options["output"]))
-    is_there = exists(task.item) if is_remote(task.item) else all(Path(f).is_file() for f in files)
+    result = task.options["output"]
+    files = [] if is_remote(task.item) else [result, record_of(result)]
+    files += [task.options[name] for name in NAMED if task.options.get(name)]
+    is_there = all(Path(file).is_file() for file in files)
+    is_there = is_there and (not is_remote(task.item) or exists(task.item))
     return (is_there or not task.has_result) and _key(task)[0] == task.key
 
 

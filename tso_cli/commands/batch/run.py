@@ -142,10 +142,12 @@ def _print(summary: Summary, journal: Path, seconds: float) -> None:
         more = f" and {len(names) - MOST_LISTED:,} more" if len(names) > MOST_LISTED else ""
         listed = f"{', '.join(names[:MOST_LISTED])}{more}"
         click.echo(f"  at work when a batch ended twice, so done last and alone: {listed}")
+    from ..refine.sentences import two_places
+
     worst = _worst_first(summary)
     for item, outcome in worst[:MOST_LISTED]:
         confidence = outcome.values.get("confidence")
-        sure = f"confidence {confidence:.2f}; " if confidence is not None else ""
+        sure = f"confidence {two_places(confidence)}; " if confidence is not None else ""
         click.echo(f"  {outcome.event:<9}{item}: {sure}{outcome.reason}")
     if len(worst) > MOST_LISTED:
         click.echo(f"  and {len(worst) - MOST_LISTED:,} more that are not done")

@@ -113,7 +113,7 @@ class RefineOutputs:
     def check(self, inputs: list[Path], config: Path | None = None) -> None:
         """InputError for an output that cannot be written or would replace another file.
 
-        A record may replace the record that the run repeats, but nothing the ``config``.
+        No output replaces the ``config``, but a record may replace the record that the run repeats.
         """
         check_suffix(self.output, self._suffix)
         for is_asked, suffixes, why in (
@@ -129,11 +129,12 @@ class RefineOutputs:
         # A result that replaces its own input is checked by --overwrite.
         owners = {self.output.resolve(): "another file of this command"}
         owners |= {path.resolve(): "an input" for path in inputs}
-        if config is not None and not config.name.endswith(record_of("")):
+        if config is not None:
             owners[config.resolve()] = "the file of --config"
         for name, file in self.next_to_it.items():
             require_output(file, OUTPUTS[name].suffix, self.options.overwrite)
-            if owner := owners.get(file.resolve()):
+            owner = owners.get(file.resolve())
+            if owner and not (name == "record" and owner == "the file of --config"):
                 option = "-o" if name == "record" else f"--{name.replace('_', '-')}"
                 raise InputError(f"{file}: is {owner}, expected another name for {option}")
             owners[file.resolve()] = "another file of this command"

@@ -34,14 +34,16 @@ class _Record(NamedTuple):
 
 
 def key_of(explicit: Mapping[str, Any], digests: Iterable[str]) -> str:
-    """What no other run has: the version, the options that were given, the files' contents."""
-    settings = {}
+    """The same for two runs of one version with the same options and contents of files."""
+    settings: dict[str, Any] = {}
     for name, value in sorted(without_roles(explicit, "output", "run").items()):
         values = value if isinstance(value, (tuple, list)) else (value,)
         if is_word(name, value):
             settings[name] = str(value)
         elif not any(isinstance(item, Path) for item in values):
             settings[name] = value
+        elif name not in ("source", "masks"):
+            settings[name] = len(values)  # which of the files it names
     text = json.dumps([__version__, settings, list(digests)], default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 

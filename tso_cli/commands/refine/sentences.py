@@ -110,23 +110,28 @@ class Words:
         return suspects
 
     def _what_and_option(self, finding: Finding) -> tuple[str, str]:
-        name = self.names[finding.views[0]] if finding.views else ""
-        alone = len(finding.views) < len(self.names)
+        names = [self.names[view] for view in finding.views]
+        of_some_views, listed = len(names) < len(self.names), ", ".join(names)
         if finding.name in OPTIONS:
-            return finding.says + (f" in {name}" if alone else ""), self._option_for(finding)
+            where = f" in {listed}" if of_some_views else ""
+            return finding.says + where, self._option_for(finding)
         if finding.name == "mispaired":
             return self._pairs(finding)
         if finding.without:
             by_option = self.inverted and finding.without == INVERTED
             wrong = "--invert-mask" if by_option else f"--assume {finding.without.text}"
             what, option = f"{wrong} is wrong", f"without {wrong}"
-            if alone and not finding.without.view:
-                option += f" for {name}"
+            if of_some_views and not finding.without.view:
+                option += f" for {listed}"
         else:
-            at = f"@{name}" if alone else ""
-            options = (f"--assume {hypothesis.name}{at}" for hypothesis in finding.hypotheses)
+            places = [f"@{name}" for name in names] if of_some_views else [""]
+            options = (
+                f"--assume {hypothesis.name}{place}"
+                for place in places
+                for hypothesis in finding.hypotheses
+            )
             what, option = finding.says, " ".join(options)
-        return f"for {name} alone {what}" if alone else what, option
+        return f"for {listed} alone {what}" if of_some_views else what, option
 
     def _option_for(self, symptom: Finding) -> str:
         values = dict(symptom.values)
@@ -219,8 +224,8 @@ def _is_turned_cloud(finding: Finding) -> bool:
 
 
 def two_places(confidence: float) -> str:
-    """With two places, rounded down: what is printed as 0.80 is not doubtful."""
-    return f"{confidence:.4f}"[:4]
+    """With two places, rounded down: what is printed as the least confidence is not doubtful."""
+    return f"{math.floor(100.0 * confidence + 1e-9) / 100.0:.2f}"
 
 
 def _withheld(fit: Fit) -> bool:
