@@ -32,14 +32,15 @@ class Option:
     role : "argument", or what it says: a "setting" of the method, an "input", an "output", or how
     the command runs ("run").
     default_words : the default in words, where None stands for a value that others decide.
-    heading : of the help that shows every option. brief : whether the short help shows it too.
+    heading : of this option and those after it in the whole help. brief : whether the short help
+    shows it too.
     help, default_words : names of other options stand in backquotes.
     names : on the command line, if they are not the field's. metavar : its value in the help.
     words : that stand in place of a file or a number.
     table : makes the table (value -> meaning) that the word `list` prints.
-    parser : of a value that is no word, number or path: the command line's.
+    parser : the click type of a value that is no word, number or path.
     least, most, above, below : limits of a number; the last two are out of range themselves.
-    only : other option -> the values of it that this one goes with. why : they are needed.
+    only : other option -> its values with which this one may be given. why : the reason.
     needs, excludes : the options that this one needs, or excludes.
     neutral : values that ask for nothing, other than the default.
     """
@@ -195,7 +196,7 @@ def check(options: Any) -> None:
 
 
 def _asked(options: Any) -> Iterator[tuple[Declared, Any]]:
-    """Option and value of what is neither the default nor as neutral."""
+    """Options that ask for something: whose value is not None, the default, or neutral."""
     for name, entry in declared(options.__class__).items():
         value = getattr(options, name)
         if value is not None and value != entry.default and value not in entry.option.neutral:

@@ -1,4 +1,4 @@
-"""What a damaged file raises becomes one line: the file, the place, and what was expected."""
+"""Exceptions that a damaged file causes become one line: file, place, and what was expected."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ DAMAGE = (LookupError, ValueError, TypeError, AttributeError, OverflowError, str
 
 @contextmanager
 def reading(source: Checked | Path, expected: str) -> Iterator[None]:
-    """Inside, a reader takes what it needs of ``source``, and sets its ``place`` as it goes on.
+    """Turns what a reader raises inside into an InputError.
 
-    A file without places is given by its path.
+    The reader updates ``source.place``, such as "frames[3].", before it reads there. Without places
+    the path of the file stands for ``source``.
 
     Raises InputError where the file does not have what was ``expected``.
     """

@@ -28,12 +28,12 @@ from .similarity import Similarity, similarity_of
 _LONE_RETURN = re.compile(rb"\r(?!\n)")
 # A line that continues on the next one ends with a backslash.
 _CONTINUED = re.compile(rb"\\\r?\n")
-_MARK = rb"^(?:\xef\xbb\xbf)?[ \t]*"  # the first line may begin with a byte-order mark
+_LINE_START = rb"^(?:\xef\xbb\xbf)?[ \t]*"  # the first line may begin with a byte-order mark
 _LINE = re.compile(
-    _MARK + rb"(?:(v|vt|vn|f)[ \t]+([^\r\n#]*)|usemtl[ \t]+([^\r\n]*))", re.MULTILINE
+    _LINE_START + rb"(?:(v|vt|vn|f)[ \t]+([^\r\n#]*)|usemtl[ \t]+([^\r\n]*))", re.MULTILINE
 )
 # Names may hold blanks, a line several names, and a comment may follow.
-_LIBRARIES = re.compile(_MARK + rb"mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
+_LIBRARIES = re.compile(_LINE_START + rb"mtllib[ \t]+(.+?)[ \t\r]*$", re.MULTILINE)
 _LIBRARY = re.compile(rb"\S.*?\.mtl(?=\s|$)", re.IGNORECASE)
 _WORD = re.compile(rb"[^ \t]+")
 
@@ -251,8 +251,9 @@ class ObjFile(MovableFile):
     def _changes(
         self, spans: Indices, old: Array, new: Array
     ) -> tuple[Indices, Indices, NDArray[Any]]:
-        """Where numbers change, and their new text, with the digits of a float if that is all
-        the old text has.
+        """Where numbers change, and their new text.
+
+        It has the digits of a float32 if the old text has no more.
         """
         single = old.astype(np.float32)
         if np.array_equal(single.astype("S32").astype(np.float64), old) or _few_digits(
@@ -266,7 +267,7 @@ class ObjFile(MovableFile):
 
 
 def _few_digits(data: bytes, spans: Indices) -> bool:
-    """Whether no number of the text has more than nine digits, as many as a float has."""
+    """Whether no number of the text has more than nine digits, as many as a float32 has."""
     for begin, end in spans.reshape(-1, 2).tolist():
         mantissa = re.split(rb"[eE]", data[begin:end])[0]
         digits = mantissa.lstrip(b"+-").replace(b".", b"").lstrip(b"0")

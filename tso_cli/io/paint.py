@@ -31,9 +31,10 @@ from .reading import shown
 # of one colour take a thousandth of that on disk.
 MOST_PIXELS = 1 << 30
 TEXTURE_FORMATS = (*FORMATS, "TGA")
-# Of a picture, px. It is shrunk to about that: a photo shows no finer paint.
+# Pictures are shrunk by a whole factor until their longer side is under twice this, px: a photo
+# shows no finer paint.
 LONGEST_SIDE = 1024
-# Corners whose colours differ by less have one colour.
+# Colours that differ by less are taken as equal.
 ALIKE = 1.0 / 255.0
 # What a picture shows outside texture coordinates 0 to 1.
 Wrap = Literal["repeat", "mirror", "clamp"]

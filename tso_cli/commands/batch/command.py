@@ -41,8 +41,6 @@ class PathOrAddress(options.FilePath):
 class BatchOptions:
     """What `tso batch` may be given; InputError for options that do not go together.
 
-    manifest : A path, or an address as text.
-
     manifest : The items, or a folder of them.
     output : Folder for the results and the journal; it is made if need be.
     strict : Write no doubtful results.

@@ -26,13 +26,14 @@ from ..refine.run import RefineRun
 from .page import picture_of
 
 # Errors of a disk or network that may be over after a moment, and the seconds to wait before each
-# attempt; and those of a disk that needs somebody's hand.
-PASSING = (
+# attempt.
+TRANSIENT = (
     errno.EIO, errno.ESTALE, errno.ETIMEDOUT, errno.EAGAIN, errno.EBUSY, errno.ECONNRESET,
     errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EREMOTEIO, errno.ENFILE,
 )  # fmt: skip
 PAUSES = (0.0, 0.5, 2.0)
-OF_THE_DISK = (*PASSING, errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+# Errors for which the item is not to blame.
+OF_THE_MACHINE = (*TRANSIENT, errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 def options_of(item_options: ItemOptions) -> RefineOptions:
@@ -85,9 +86,9 @@ def refine_item(task: Task, pictures: Path | None) -> Outcome:
             outcome = _refined(task, pictures)
             break
         except (TsoError, OSError) as error:
-            refused = isinstance(error, InputError) and not _caused_by(error, OF_THE_DISK)
+            refused = isinstance(error, InputError) and not _caused_by(error, OF_THE_MACHINE)
             outcome = Outcome("refused" if refused else "failed", reason=str(error))
-            if not _caused_by(error, PASSING):
+            if not _caused_by(error, TRANSIENT):
                 break
     return replace(outcome, seconds=time.perf_counter() - begun)
 
@@ -95,7 +96,7 @@ def refine_item(task: Task, pictures: Path | None) -> Outcome:
 def _refined(task: Task, pictures: Path | None) -> Outcome:
     key, cameras = _key(task)
     with local(task.options, task.item if is_remote(task.item) else "", cameras) as files:
-        # Files of others were refused before; one of this batch may be half of a result.
+        # `tso batch` has refused to replace files of others. A file of its own may be damaged.
         of_batch = {"overwrite": True, "record": True, "quiet": True}
         refine_options = options_of({**files.options, **of_batch})
         explicit = {name: getattr(refine_options, name) for name in files.options}

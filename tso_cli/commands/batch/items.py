@@ -41,7 +41,8 @@ def options_of_items(
 ) -> list[tuple[str, ItemOptions]]:
     """The name of each item's result in the folder ``output``, and its options.
 
-    Of all items there are those of the ``shard``; only those are checked whole. Paths are text,
+    Only items of this ``shard`` are returned and checked whole. Of all others the names of outputs
+    are compared. Paths are text,
     relative to ``folder``, a path or an address. Raises InputError with row and column for what
     `tso refine` does not take, for two outputs of one name, and for an output that is an input of
     another item or the ``manifest``.
@@ -170,7 +171,7 @@ def _value(item: Item, title: str, option: Declared, folder: str) -> Any:
 
 
 def _settings(options: ItemOptions) -> tuple[Any, ...]:
-    """What of an item's options is checked: any path is a path, so rows that share it are alike."""
+    """What the checks depend on: rows whose options differ only in names of files have the same."""
     table = named(RefineOptions)
     return tuple(
         (name, value)

@@ -55,7 +55,8 @@ class BatchRun:
         try:
             with open_journal(journal_file) as journal:
                 for other in other_journals:
-                    with sole_writer(other):  # a run with other parts may have the same items
+                    # Fails if a run with other parts is at work: it may have the same items.
+                    with sole_writer(other):
                         pass
                 past = read_journals([journal_file, *other_journals])
                 summary = self._run(items, journal, past)

@@ -189,7 +189,7 @@ class RefineOptions(RefineConfig):
                 "--depth needs a camera whose distance is known, found --camera fit; expected a "
                 "camera file"
             )
-        # Which masks there are is known once folders are read.
+        # Masks of folders are not read yet: any @MASK is accepted here, and checked later.
         views = dict.fromkeys(text.partition("@")[2] for text in self.assume)
         self.check_assumptions([view for view in views if view], len(self.masks))
         move = self.config().settings().move

@@ -72,7 +72,7 @@ def _write_transform(path: Path, report: RefineReport) -> None:
 
 
 class Output(NamedTuple):
-    """word : what the summary calls the file; "" where it does not name it."""
+    """A kind of extra file; ``word`` is its name in the summary, "" where it is not there."""
 
     suffix: str
     word: str
@@ -90,14 +90,11 @@ OUTPUTS = {
 """What is written next to the result, by the name of its option."""
 WITH_PHOTOS = {"overlay", "report", "rerun"}
 NAMED = tuple(name for name in OUTPUTS if name != "record")
-"""Those whose names the options say; that of the record follows from that of the result."""
+"""Outputs whose file the user names. The record is named after the result."""
 
 
 class RefineOutputs:
-    """What is written: the result, and the files next to it.
-
-    files : all that are written, by the names of their options. next_to_it : without the result.
-    """
+    """What is written: the result and the extra files, each by the name of its option."""
 
     def __init__(self, options: RefineOptions) -> None:
         self.options = options
@@ -105,10 +102,10 @@ class RefineOutputs:
         self.output = options.output or Path(f"{options.source.stem}.refined{self._suffix}")
         files = {name: getattr(options, name) for name in NAMED}
         files["record"] = Path(record_of(str(self.output))) if options.record else None
-        self.next_to_it: dict[str, Path] = {
+        self.extra_files: dict[str, Path] = {
             name: files[name] for name in OUTPUTS if files[name] is not None
         }
-        self.files = {"output": self.output, **self.next_to_it}
+        self.files = {"output": self.output, **self.extra_files}
 
     def check(self, inputs: list[Path], config: Path | None = None) -> None:
         """InputError for an output that cannot be written or would replace another file.
@@ -131,7 +128,7 @@ class RefineOutputs:
         owners |= {path.resolve(): "an input" for path in inputs}
         if config is not None:
             owners[config.resolve()] = "the file of --config"
-        for name, file in self.next_to_it.items():
+        for name, file in self.extra_files.items():
             require_output(file, OUTPUTS[name].suffix, self.options.overwrite)
             owner = owners.get(file.resolve())
             if owner and not (name == "record" and owner == "the file of --config"):
@@ -153,7 +150,7 @@ class RefineOutputs:
         """Write all files, or none: the others take their names once the cloud is written."""
         result, scene, overwrite = report.result, report.scene, self.options.overwrite
         with ExitStack() as stack:
-            for name, file in self.next_to_it.items():
+            for name, file in self.extra_files.items():
                 OUTPUTS[name].write(stack.enter_context(atomic_output(file, overwrite)), report)
             self.check([])  # before the first of them takes its name
             write_cloud(
@@ -168,6 +165,6 @@ class RefineOutputs:
 
     def print_names(self) -> None:
         """Name the files next to the result that `Output` has a word for."""
-        for name, file in self.next_to_it.items():
+        for name, file in self.extra_files.items():
             if word := OUTPUTS[name].word:
                 click.echo(f"{file}: {word}")

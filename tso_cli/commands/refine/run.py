@@ -25,7 +25,7 @@ from .sentences import Words
 
 # Memory of one control point.
 BYTES_OF_A_CONTROL_POINT = 1100
-LEFT = 4
+EXIT_UNCHANGED = 4
 """The exit code with --strict where the cloud is written as it was."""
 INTERRUPTED = 130
 """The exit code after Ctrl-C."""
@@ -34,8 +34,8 @@ INTERRUPTED = 130
 class RefineRun:
     """What the options ask for, read and checked.
 
-    explicit : those of the options that were not left to their defaults. messages : the warnings of
-    the run, which collects them. line : the command for a shell.
+    explicit : the options that have another value than their default. messages : the list to which
+    warnings are added as they come. shell_command : the line that repeats this run.
     """
 
     def __init__(
@@ -43,12 +43,12 @@ class RefineRun:
         options: RefineOptions,
         explicit: Mapping[str, Any],
         messages: list[str],
-        line: str,
+        shell_command: str,
         config: Path | None = None,
     ) -> None:
         self._started = time.perf_counter()
         self._options, self._explicit = options, explicit
-        self._messages, self._line = messages, line
+        self._messages, self._shell_command = messages, shell_command
         self._inputs, self._outputs = RefineInputs(options), RefineOutputs(options)
         self._iterates = None
         if not options.check:
@@ -99,7 +99,7 @@ class RefineRun:
                 report.print_details()
         if result.fit.stop_reason == "interrupted":
             return INTERRUPTED
-        return LEFT if options.strict and not result.moved else 0
+        return EXIT_UNCHANGED if options.strict and not result.moved else 0
 
     def work(self) -> RefineReport:
         """Refine and write the files; with --strict, a doubtful result has none."""
@@ -129,7 +129,7 @@ class RefineRun:
             inputs=self._inputs,
             words=self._words,
             explicit=self._explicit,
-            command=self._line,
+            command=self._shell_command,
             files=files,
             photos=photos,
             iterates=self._iterates,

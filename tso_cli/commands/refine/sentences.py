@@ -202,7 +202,7 @@ class Words:
         """
         fit, trust = result.fit, result.trust
         reading = reading_of(result.move, result.settings.move, start_of(result))
-        messages = [text for text in (reading, _of_course(result)) if text]
+        messages = [text for text in (reading, _about_the_optimisation(result)) if text]
         if trust.verdict == "doubtful" and not refused:
             sure = (
                 f" (confidence {two_places(trust.confidence)})"
@@ -253,8 +253,8 @@ def why_unmoved(result: RefineResult) -> str | None:
     }[fit.stop_reason]
 
 
-def _of_course(result: RefineResult) -> str | None:
-    """What is worth saying of the course of the optimisation."""
+def _about_the_optimisation(result: RefineResult) -> str | None:
+    """A sentence if the optimisation stopped early or moved nothing."""
     fit, steps = result.fit, result.settings.steps
     reason = why_unmoved(result)
     if reason and result.move.kind != "nothing":
