@@ -10,7 +10,7 @@ import pytest
 
 from tests.corruption import assert_refused
 from tso_cli.commands import options
-from tso_cli.commands.batch.command import BatchOptions
+from tso_cli.commands.batch.options import BatchOptions
 from tso_cli.commands.evaluate import EvalOptions
 from tso_cli.commands.option_files import named, value_of
 from tso_cli.commands.refine.options import RefineOptions

@@ -233,7 +233,7 @@ def uninterrupted(result: T) -> T:
 
 
 def _has_cases_of(shared: Record, cases: Cases) -> bool:
-    return any(shared.items() <= case.items() for case in cases)
+    return any(isinstance(case, dict) and shared.items() <= case.items() for case in cases)
 
 
 def claim(text: str, holds: bool, measured: str) -> Record:

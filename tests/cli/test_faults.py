@@ -399,8 +399,10 @@ def test_a_signal_while_trimesh_is_imported_ends_the_command(tmp_path, name, par
         "sys.meta_path.insert(0, Signalled())\n"
         "from tso_cli.cli import main\nmain()"
     )
-    mesh = tmp_path / "mesh.off"
-    mesh.write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    mesh = tmp_path / "mesh.stl"
+    corners = "vertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
+    facet = f"facet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\n"
+    mesh.write_text(f"solid a\n{facet}endsolid a\n")
     run = started("eval", mesh, mesh, program=program)
     assert run.communicate()[1].splitlines()[-1] == "tso: error: interrupted"
     assert run.returncode == 130

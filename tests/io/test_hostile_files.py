@@ -253,7 +253,9 @@ def test_textures_over_the_limit_of_pixels_are_a_warning_and_not_decoded(
     path = two_boxes(tmp_path / name, 8)
     monkeypatch.setattr(paint, "MOST_PIXELS", 63)
     result = tso("render", path, "-o", tmp_path / "out", "--views", 1)
-    words = "is one too many: expected at most 63 pixels in all (2 in all)"
+    words = (
+        "is one too many: expected at most 63 pixels in all, the material's colour is used (2 in"
+    )
     assert (words in result.err, result.code) == (True, 0)
 
 
@@ -276,9 +278,9 @@ def test_a_picture_that_is_not_for_colours_counts_for_nothing_and_is_not_decoded
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_small_file_that_would_take_long_or_much_memory_is_refused_at_once(tmp_path, name):
     (tmp_path / name).write_text(BOMBS[name])
-    before = time.monotonic()
+    before = time.process_time()
     assert_refused(name, cameras, tmp_path / name)
-    assert time.monotonic() - before < 5.0
+    assert time.process_time() - before < 20.0  # a bomb that goes off takes minutes
 
 
 def test_every_reader_that_can_be_fuzzed_is_there():

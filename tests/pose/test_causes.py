@@ -161,21 +161,23 @@ def test_a_stretch_before_an_exact_mask_is_hardly_taken_for_a_growth(shape, axis
         assert as_scene(points, view).with_outlines(growth).views == (view,)
 
 
-@pytest.mark.parametrize(
-    ("name", "pixels"),
-    [("chair", 24), ("airplane", 24), ("chair", 48), ("car", 48), ("airplane", 48)],
-    ids=str,
-)
-def test_a_shape_gets_better_if_a_grown_mask_is_corrected(name, pixels, monkeypatch):
-    shape = SHAPES[name]
-    points, view = _stretched(shape, 0, 1.12), small(shape, pixels, grown=1)
-    corrected = refine(points, view)
-    monkeypatch.setattr(
-        "tso_cli.refinement.run.find_move", lambda *given: replace(find_move(*given), growth=0.0)
-    )
-    as_given = refine(points, view)
-    assert shape.error(corrected.points) < 0.97 * shape.error(as_given.points)
-    assert "outline-corrected" not in [finding.name for finding in as_given.findings]
+def test_shapes_get_better_if_a_grown_mask_is_corrected(monkeypatch):
+    """In the mean: what one of them gains depends on the last bits of the processor's sums."""
+    cases = [("chair", 24), ("airplane", 24), ("chair", 48), ("car", 48), ("airplane", 48)]
+    ratios = []
+    for name, pixels in cases:
+        shape = SHAPES[name]
+        points, view = _stretched(shape, 0, 1.12), small(shape, pixels, grown=1)
+        corrected = refine(points, view)
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                "tso_cli.refinement.run.find_move",
+                lambda *given: replace(find_move(*given), growth=0.0),
+            )
+            as_given = refine(points, view)
+        ratios.append(shape.error(corrected.points) / shape.error(as_given.points))
+        assert "outline-corrected" not in [finding.name for finding in as_given.findings]
+    assert np.exp(np.log(ratios).mean()) < 0.9, ratios
 
 
 def test_a_correction_by_half_a_pixel_or_more_is_a_finding():

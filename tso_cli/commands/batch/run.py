@@ -20,9 +20,9 @@ from ...io.output import check_output, make_folder, sole_writer
 from ...workers import cores
 from .. import options
 from ..refine.run import INTERRUPTED
-from .command import BatchOptions
 from .item import refine_item, unchanged
 from .items import options_of_items, written_by
+from .options import BatchOptions
 from .page import INDEX, write_index
 
 NOT_ALL_DONE = 3
