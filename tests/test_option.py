@@ -14,6 +14,7 @@ from tso_cli.commands.batch.options import BatchOptions
 from tso_cli.commands.evaluate import EvalOptions
 from tso_cli.commands.option_files import named, value_of
 from tso_cli.commands.refine.options import RefineOptions
+from tso_cli.commands.refine.outputs import NAMED
 from tso_cli.commands.render import RenderOptions
 from tso_cli.commands.train.options import TrainOptions, TrainPriorOptions
 from tso_cli.option import check, declared, opt
@@ -130,3 +131,11 @@ def test_a_default_fits(kind: type):
     for name, one in declared(kind).items():
         if not one.required and one.default is not None and not one.several:
             assert one.takes(one.default) or one.default in one.option.neutral, name
+
+
+def test_every_file_that_refine_writes_has_an_option_and_is_written():
+    """A path without a role would count as a setting, and one without a writer would be lost."""
+    table = declared(RefineOptions)
+    roles = {name: entry.option.role for name, entry in table.items() if entry.plain is Path}
+    assert {name for name, role in roles.items() if role == "output"} == {"output", *NAMED}
+    assert {name for name, role in roles.items() if role == "setting"} == {"prior"}

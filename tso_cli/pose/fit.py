@@ -98,9 +98,7 @@ class FittedCamera:
             return self
         if number > len(self.alternatives):
             count = len(self.alternatives)
-            raise InputError(
-                f"`pose_index` is {number}, expected at most {count}: so many other poses fit"
-            )
+            raise InputError(f"`pose_index` is {number}, expected at most {count}")
         best = self.alternatives[number - 1]
         first = Alternative(self.camera, self.iou, self.missed, 0.0)
         alternatives = tuple(
