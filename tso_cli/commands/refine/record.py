@@ -1,4 +1,4 @@
-"""The record of a run, from which it can be repeated, and its key, which no other run has."""
+"""Records of runs: what --record writes, its key, and --config that repeats a run."""
 
 from __future__ import annotations
 

@@ -188,7 +188,7 @@ class RefineReport:
         return rows
 
     def record(self) -> str:
-        """The record of the run as JSON: the document, and its key, which no other run has."""
+        """The record of the run as JSON: the document and its key."""
         folder = self.files["record"].parent
         digests = {relative(path, folder): digest_of(path) for path in self.inputs.files}
         record = {
