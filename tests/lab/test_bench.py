@@ -135,6 +135,7 @@ def test_claims_separate_met_targets_from_missed_ones(what, name, seconds, field
 # Contestants
 
 
+@pytest.mark.slow
 def test_the_large_files_are_refined_and_their_memory_is_that_of_the_process():
     for race in speed.large_files(0, 2000, 2000, 2000):
         rows = SETTING.race("large", race, speed.OVER_TORCH)

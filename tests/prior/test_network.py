@@ -59,7 +59,8 @@ def test_the_gradients_of_the_network_are_those_of_finite_differences():
     names = ["map1.offset", "map3b.offset", "view2.offset", "node1.offset", "moved.offset"]
     names += ["cells1.offset", "troubles.offset"]
     chosen = [weights[name].clone().requires_grad_() for name in names]
-    assert torch.autograd.gradcheck(answer, chosen)
+    # In a random direction of all weights: one for each weight would take minutes.
+    assert torch.autograd.gradcheck(answer, chosen, fast_mode=True)
 
 
 def test_a_new_network_moves_nothing():

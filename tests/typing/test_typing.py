@@ -37,12 +37,14 @@ def test_the_package_says_that_it_has_types():
     assert (Path(tso_cli.__file__).parent / "py.typed").exists()
 
 
+@pytest.mark.slow
 def test_a_script_with_the_public_names_passes_the_strict_type_checker(tmp_path):
     done = checked(USER, tmp_path)
     assert done.stdout == ""
     assert done.returncode == 0
 
 
+@pytest.mark.slow
 def test_a_preset_that_does_not_exist_fails_in_the_type_checker(tmp_path):
     (tmp_path / "wrong.py").write_text(
         'from tso_cli import RefineConfig\nRefineConfig(preset="bset", mode="pionts")\n'
