@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.scenes import EXAMPLES, about
-from tso_cli.commands.refine.run import LEFT
+from tso_cli.commands.refine.run import EXIT_UNCHANGED
 from tso_cli.diagnosis.trust import LEAST_CONFIDENCE, MOST_OF_DOUBTFUL
 from tso_cli.io.clouds import read_cloud, write_cloud
 from tso_cli.refinement import judge
@@ -73,5 +73,5 @@ def test_strict_writes_a_cloud_that_is_left_and_says_so_by_its_code(folder, refi
     words = (source, "mask.png", *options, "-o", "left.ply")
     assert refine(*words).code == 0
     run = refine(*words, "--strict", "--overwrite")
-    assert run.code == LEFT == 4
+    assert run.code == EXIT_UNCHANGED == 4
     np.testing.assert_array_equal(read_cloud("left.ply").points, read_cloud(source).points)
