@@ -8,13 +8,14 @@ from tso_lab.studies import determined
 from tso_lab.studies.cases import MASKS, CaseBuilder
 from tso_lab.studies.shapes import shapes_of_part
 
-from .studying import MESHES, VALIDATION
+from .studying import MESHES
 
 
 @pytest.mark.slow
 def test_a_shape_has_a_row_for_each_evidence(split):
-    shape = {one.name: one for one in shapes_of_part(MESHES, split, "validation")}[VALIDATION[2]]
-    rows = determined._of_shape(CaseBuilder(MESHES, split, MASKS + 1, 64, 1024), shape)
+    builder = CaseBuilder(MESHES, split, MASKS + 1, 64, 1024)
+    shapes = shapes_of_part(MESHES, split, "validation")
+    rows = [row for shape in shapes for row in determined._of_shape(builder, shape)]
     record = determined.conclude(rows)
     shares = [one["determined"] for one in record["summary"].values()]
     assert list(record["summary"]) == [
