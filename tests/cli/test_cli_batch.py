@@ -21,7 +21,8 @@ from tso_cli.batch.engines import engine
 from tso_cli.batch.journal import ENDS, entries
 from tso_cli.batch.manifest import Item
 from tso_cli.commands.batch.command import command as batch_command
-from tso_cli.commands.batch.items import OF_BATCH, options_of_items, written_by
+from tso_cli.commands.batch.item import written_by
+from tso_cli.commands.batch.items import OF_BATCH, options_of_items
 from tso_cli.commands.refine.record import key_of
 from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud

@@ -198,12 +198,17 @@ def as_triangles(faces: ArrayLike, count: int, name: str) -> Indices:
         )
     if triangles.dtype.kind not in "iu":
         raise InputError(f"{name}: the faces are {triangles.dtype}, expected whole numbers")
-    outside = (triangles < 0) | (triangles >= count)
+    require_vertices(triangles, count, name)
+    return triangles.astype(np.int64)
+
+
+def require_vertices(corners: NDArray[np.integer], count: int, name: str) -> None:
+    """Raise InputError, which begins with ``name``, if a corner is none of ``count`` vertices."""
+    outside = (corners < 0) | (corners >= count)
     if outside.any():
         raise InputError(
-            f"{name}: a face names vertex {triangles[outside][0]}, expected 0 to {count - 1}"
+            f"{name}: a face names vertex {corners[outside][0]}, expected 0 to {count - 1}"
         )
-    return triangles.astype(np.int64)
 
 
 def draw_surface(

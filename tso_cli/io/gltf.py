@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
 from ..geometry.normals import rigid_turn, same_places, turned_normals
+from ..geometry.points import require_vertices
 from .checked import Checked, kind
 from .gltf_scene import (
     COMPONENTS,
@@ -239,11 +240,7 @@ class GltfFile(Checked, MovableFile):
             indices = self._values(primitive["indices"], ("SCALAR",)).ravel().astype(np.int64)
         else:
             indices = np.arange(part.count)
-        if len(indices) and not 0 <= indices.min() <= indices.max() < part.count:
-            wrong = indices.min() if indices.min() < 0 else indices.max()
-            raise InputError(
-                f"{self.path}: a face names vertex {wrong}, expected 0 to {part.count - 1}"
-            )
+        require_vertices(indices, part.count, str(self.path))
         mode = primitive.get("mode", _TRIANGLES)
         if mode == _TRIANGLES:
             triangles = indices[: len(indices) // 3 * 3].reshape(-1, 3)

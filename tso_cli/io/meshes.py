@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.arrays import Array, Indices
+from ..geometry.points import require_vertices
 from ..geometry.polygons import triangulated
 from ..signals import waiting_signals
 from .movable import MovableFile
@@ -200,9 +201,7 @@ def _of_off(content: bytes, path: Path) -> tuple[Array, Indices]:
             f"which state {count:,} {nouns[0]} and {faces:,} {nouns[1]}, expected a line for each"
         )
     corners = np.array([corner for polygon in polygons for corner in polygon], dtype=np.int64)
-    if len(corners) and not 0 <= corners.min() <= corners.max() < count:
-        wrong = corners.min() if corners.min() < 0 else corners.max()
-        raise InputError(f"{path}: a face names vertex {wrong}, expected 0 to {count - 1}")
+    require_vertices(corners, count, str(path))
     points, lengths = np.array(vertices).reshape(-1, 3), np.array([len(p) for p in polygons], int)
     return points, corners[triangulated(points, corners, lengths)]
 

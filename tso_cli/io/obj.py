@@ -43,9 +43,9 @@ _Row = tuple[int, list[tuple[int, int]]]
 
 
 class _Face(NamedTuple):
-    """The words of a face; ``before``: how many lines of v, vt and vn precede it."""
+    """The words of a face, split at /; ``before``: how many lines of v, vt and vn precede it."""
 
-    words: list[bytes]
+    words: list[list[bytes]]
     before: tuple[int, int, int]
     material: bytes
 
@@ -76,7 +76,8 @@ class ObjFile(MovableFile):
                 material = match[3].strip()
             elif kind == b"f":
                 before = len(rows[b"v"]), len(rows[b"vt"]), len(rows[b"vn"])
-                self._faces.append(_Face(match[2].split(), before, material))
+                words = [word.split(b"/") for word in match[2].split()]
+                self._faces.append(_Face(words, before, material))
             else:
                 spans = [(begin + w.start(), begin + w.end()) for w in _WORD.finditer(match[2])]
                 rows[kind].append((begin, spans))
@@ -139,14 +140,19 @@ class ObjFile(MovableFile):
         """
         indices = []
         for face in self._faces:
+            before = face.before[part]
             for word in face.words:
-                text = (word.split(b"/") + [b"", b""])[part]
-                number = int(text) if re.fullmatch(rb"[-+]?\d{1,18}", text) else 0
-                index = number - 1 if number > 0 else face.before[part] + number
+                text = word[part] if part < len(word) else b""
                 if not text and part > 0:
-                    index = -1
-                elif number == 0 or not 0 <= index < count:
-                    named = plain(word.decode("ascii", "backslashreplace"))
+                    indices.append(-1)
+                    continue
+                try:
+                    number = int(text)
+                except ValueError:
+                    number = 0
+                index = number - 1 if number > 0 else before + number
+                if number == 0 or not 0 <= index < count:
+                    named = plain(b"/".join(word).decode("ascii", "backslashreplace"))
                     kind = ("vertices", "texture points", "normals")[part]
                     raise InputError(
                         f"{self.path}: a face names {named}, expected {kind} 1 to {count}, or -1 "

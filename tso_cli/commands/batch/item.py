@@ -64,13 +64,21 @@ def _key(task: Task) -> tuple[str, dict[str, str]]:
     return key_of(settings, [*states, *digests]), cameras
 
 
+def written_by(options: ItemOptions) -> list[str]:
+    """The files that an item with these options writes: its result, its record, then others.
+
+    Result and record are paths or addresses, the others are paths.
+    """
+    result = options["output"]
+    return [result, record_of(result), *(options[name] for name in NAMED if options.get(name))]
+
+
 def unchanged(task: Task) -> bool:
     """Whether the inputs and settings of an item have the key of its last end."""
-    result = task.options["output"]
-    files = [] if is_remote(task.item) else [result, record_of(result)]
-    files += [task.options[name] for name in NAMED if task.options.get(name)]
-    is_there = all(Path(file).is_file() for file in files)
-    is_there = is_there and (not is_remote(task.item) or exists(task.item))
+    # Of a result at an address the record is not looked for.
+    is_at_address, files = is_remote(task.item), written_by(task.options)
+    is_there = all(Path(file).is_file() for file in (files[2:] if is_at_address else files))
+    is_there = is_there and (not is_at_address or exists(task.item))
     return (is_there or not task.has_result) and _key(task)[0] == task.key
 
 

@@ -114,15 +114,6 @@ class _Readers:
         return min(self._places.get(file, set()) - {writer}, default="")
 
 
-def written_by(options: ItemOptions) -> list[str]:
-    """The files that an item with these options writes: its result, its record, then others.
-
-    Result and record are paths or addresses, the others are paths.
-    """
-    result = options["output"]
-    return [result, record_of(result), *(options[name] for name in NAMED if options.get(name))]
-
-
 @lru_cache(maxsize=1024)
 def _columns(titles: tuple[str, ...]) -> dict[str, Declared]:
     """The titles of columns, each with the option of `tso refine` that it sets."""

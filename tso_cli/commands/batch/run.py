@@ -20,8 +20,8 @@ from ...io.output import check_output, make_folder, sole_writer
 from ...workers import cores
 from .. import options
 from ..refine.run import INTERRUPTED
-from .item import refine_item, unchanged
-from .items import options_of_items, written_by
+from .item import refine_item, unchanged, written_by
+from .items import options_of_items
 from .options import BatchOptions
 from .page import INDEX, write_index
 
