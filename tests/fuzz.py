@@ -33,15 +33,27 @@ READERS = {
     },
     **{
         f"mask{suffix}": ("io.masks:read_mask", suffix)
-        for suffix in (".png", ".tif", ".jpg", ".gif", ".webp", ".npy", ".npz", ".pt", ".json")
+        for suffix in (
+            ".png",
+            ".tif",
+            ".jpg",
+            ".gif",
+            ".webp",
+            ".npy",
+            ".npz",
+            ".pt",
+            ".json",
+            ".xml",
+            ".txt",
+        )
     },
     "mask.sam.npz": ("io.masks:read_mask", ".npz"),
     "mask.coco.json": ("tests.fuzz:first_mask", ".json"),
     "mask.label.png": ("tests.fuzz:first_label", ".png"),
     "faces": ("tests.fuzz:faces", ".ply"),
     "image": ("io.images:read_image", ".bmp"),
-    "depth": ("io.images:read_depth", ".png"),
-    "depth.npy": ("io.images:read_depth", ".npy"),
+    "depth": ("io.depth_maps:read_depth", ".png"),
+    "depth.npy": ("io.depth_maps:read_depth", ".npy"),
     "grid.npy": ("io.shapes:grid_surface", ".npy"),
     "grid.binvox": ("io.shapes:grid_surface", ".binvox"),
     "camera": ("io.cameras:read_cameras", ".json"),

@@ -1,5 +1,7 @@
 """Files from Python, named by strings."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,17 @@ def test_one_camera_and_several_read_back_as_they_were_written(name):
         np.testing.assert_array_equal(found.K, one.K)
         np.testing.assert_array_equal(found.R, one.R)
     assert [camera.width for camera in read_cameras(name("two.json"))] == [64, 32]
+
+
+def test_cameras_of_a_file_without_sizes_are_for_the_size_that_is_given(name):
+    frame = {"file_path": "./a", "transform_matrix": np.eye(4).tolist()}
+    with open(name("transforms.json"), "w") as file:
+        json.dump({"camera_angle_x": np.pi / 2.0, "frames": [frame, frame]}, file)
+    with pytest.raises(InputError, match="expected width and height, or `size`"):
+        read_cameras(name("transforms.json"))
+    cameras = read_cameras(name("transforms.json"), size=(64, 48))
+    assert [(camera.width, camera.height) for camera in cameras] == [(64, 48)] * 2
+    np.testing.assert_allclose(cameras[0].K, [[32.0, 0, 31.5], [0, 32.0, 23.5], [0, 0, 1]])
 
 
 def test_a_mask_reads_back_to_a_256th(name):

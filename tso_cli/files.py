@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 from .errors import InputError
 from .geometry.arrays import Array, Pixels
 from .geometry.camera import Camera
-from .geometry.view import View
+from .geometry.view import View, as_mask
 from .io.cameras import CameraRecord
 from .io.cameras import read_camera as read_camera
 from .io.cameras import read_cameras as _read_cameras
 from .io.cameras import write_cameras as _write_cameras
 from .io.clouds import read_cloud as read_cloud
 from .io.clouds import write_cloud as write_cloud
-from .io.images import read_depth as _read_depth
+from .io.depth_maps import read_depth as _read_depth
 from .io.images import read_image as read_image
 from .io.images import write_image
 from .io.masks import read_mask as read_mask
@@ -30,12 +30,13 @@ if TYPE_CHECKING:
     from .refinement.result import RefineResult
 
 
-def read_cameras(path: str | Path) -> list[Camera]:
-    """All cameras of a file, in its order.
+def read_cameras(path: str | Path, size: tuple[int, int] | None = None) -> list[Camera]:
+    """All cameras of a file, in its order, for pictures of this ``size``: width and height.
 
-    Raises InputError if the file is wrong, or does not say how large the pictures are.
+    The default is the size that the file says. Raises InputError if the file is wrong, or if
+    neither says how large the pictures are.
     """
-    return [record.camera for record in _read_cameras(path)]
+    return [record.camera for record in _read_cameras(path, size)]
 
 
 def write_cameras(
@@ -47,7 +48,7 @@ def write_cameras(
 
 
 def read_depth(path: str | Path, scale: float = 1.0) -> Array:
-    """Read a depth map [H, W] from a picture of one grey channel or a .npy file.
+    """Read a depth map [H, W] from a picture of one grey channel, a .npy or a .npz file.
 
     The values of the file times ``scale`` are in units of the camera; NaN is unknown. Raises
     InputError if the file is no such map.
@@ -73,7 +74,7 @@ def write_mask(path: str | Path, mask: ArrayLike, overwrite: bool = False) -> No
 
     Raises InputError if the suffix, the shape or a value is another, or the file cannot be written.
     """
-    path, values = Path(path), np.asarray(mask, dtype=np.float32)
+    path, values = Path(path), as_mask(mask, str(path))
     require_output(path, ".png", overwrite)
     _require_image(path, values, "a mask")
     if not (values.min(initial=0.0) >= 0.0 and values.max(initial=0.0) <= 1.0):

@@ -1,6 +1,7 @@
 """The journal is read back after any end of its writer, and has one writer at a time."""
 
 import json
+import os
 import warnings
 
 import pytest
@@ -95,3 +96,19 @@ def test_in_one_journal_the_lower_line_is_later_even_if_the_clock_was_set_back(t
     whole.write_text("".join(json.dumps(line) + "\n" for line in lines))
     other.write_text(json.dumps({"item": "a", "event": "refused", "time": 5.0}) + "\n")
     assert read_journals([whole, other])["a"].end["event"] == "done"
+
+
+@pytest.mark.parametrize("more", ['"confidence": "high"', '"seconds": NaN', '"iou_after": 1e999'])
+def test_a_line_whose_numbers_are_none_says_nothing(tmp_path, more):
+    path = tmp_path / "journal.jsonl"
+    path.write_text(f'{{"item": "a", "event": "done", "time": 1.0, {more}}}\n' + "[" * 60_000)
+    with pytest.warns(UserWarning, match="2 lines are damaged"):
+        assert read_journals([path]) == {}
+
+
+def test_a_line_that_a_disk_takes_in_parts_is_written_whole(tmp_path, monkeypatch):
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda file, data: write(file, data[:7]))
+    with open_journal(tmp_path / "j") as journal:
+        journal.add("a", "done", key="k")
+    assert read_journals([tmp_path / "j"])["a"].key == "k"

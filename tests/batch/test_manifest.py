@@ -188,3 +188,8 @@ def test_the_shards_of_a_batch_have_every_item_once(count):
 def test_the_shard_of_a_name_is_the_same_on_every_machine():
     found = [[in_shard(name, (i, 5)) for i in range(1, 6)].index(True) for name in "abc\u00fc"]
     assert found == [2, 1, 0, 4]
+
+
+def test_lines_may_end_as_on_old_macs_and_columns_have_no_name(manifest):
+    assert values(manifest("cloud,mask\ra.ply,a.png\r")) == [{"cloud": "a.ply", "mask": "a.png"}]
+    assert values(manifest(",cloud,,\n0,a.ply,,\n")) == [{"": "0", "cloud": "a.ply"}]

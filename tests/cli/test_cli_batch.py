@@ -19,13 +19,14 @@ from tests.corruption import assert_refused
 from tests.scenes import EXAMPLES
 from tso_cli.batch.engines import engine
 from tso_cli.batch.journal import ENDS, entries
-from tso_cli.batch.manifest import Item
+from tso_cli.batch.manifest import Item, read_manifest
 from tso_cli.commands.batch.command import command as batch_command
 from tso_cli.commands.batch.item import written_by
 from tso_cli.commands.batch.items import OF_BATCH, options_of_items
 from tso_cli.commands.refine.record import key_of
 from tso_cli.errors import InputError
 from tso_cli.io.clouds import read_cloud, write_cloud
+from tso_cli.io.masks import read_mask
 from tso_lab.bench.scale import conclude, long_batch, processes_of, write_poison
 from tso_lab.study import Progress
 
@@ -72,6 +73,34 @@ def test_every_item_is_refined_as_it_is_alone(items, tso):
     results = [read_cloud(path).points for path in ("out/in/b.ply", "b.ply")]
     np.testing.assert_allclose(*results, atol=1e-5)
     assert ends_of("out/journal.jsonl") == {"a.ply": ["done"], "in/b.ply": ["done"]}
+
+
+def test_an_array_of_clouds_is_an_item_for_each_with_its_own_mask(items, tso):
+    clouds = [read_cloud(folder / "initial.ply").points[:1000] for folder in (CHAIR, CAR)]
+    masks = [folder / "mask.png" for folder in (CHAIR, CAR)]
+    np.save("clouds.npy", np.stack(clouds))
+    np.save("masks.npy", np.stack([read_mask(mask) for mask in masks]))
+    shutil.copy(CHAIR / "camera.json", "camera.json")
+    items("cloud,mask,camera,output,steps", f"clouds.npy,{masks[0]};{masks[1]},,two/a.ply,2",
+          "clouds.npy,masks.npy,camera.json,b.ply,2", f"clouds.npy,{masks[0]},,one.ply,2",
+          f"clouds.npy,{masks[1]},,,2", "nothing.npy,masks.npy,,,2")  # fmt: skip
+    rows = list(options_of_items(read_manifest(Path("items.csv")), "", Path("out"), False))
+    assert [name for name, _ in rows] == [
+        "two/a_0.ply", "two/a_1.ply", "b_0.ply", "b_1.ply", "one_0.ply", "one_1.ply",
+        "clouds_0.refined.ply", "clouds_1.refined.ply", "nothing.refined.ply",
+    ]  # fmt: skip
+    of_rows = [(row.get("cloud_index"), row.get("mask_index"), row["masks"]) for _, row in rows]
+    expected = [(i, None, (str(masks[i]),)) for i in (0, 1)]
+    expected += [(i, i, ("masks.npy",)) for i in (0, 1)]
+    assert of_rows[:6] == [*expected, *((i, None, (str(masks[0]),)) for i in (0, 1))]
+    assert of_rows[8] == (None, None, ("masks.npy",))
+    items(HEADER, f"clouds.npy,{masks[0]};{masks[1]},a.ply,2,best")
+    assert tso("batch", "items.csv", "-o", "out", "--json").document["done"] == 2
+    assert tso("refine", "clouds.npy", masks[1], "--cloud-index", 1, "--steps", 2, "-o",
+               "b.ply").code == 0  # fmt: skip
+    np.testing.assert_array_equal(*(read_cloud(f).points for f in ("out/a_1.ply", "b.ply")))
+    assert "choose one of them: --cloud-index 0 to 1" in tso("refine", "clouds.npy",
+                                                             masks[1]).refusal  # fmt: skip
 
 
 def test_the_second_run_does_only_what_is_left_or_changed(items, tso):
@@ -234,7 +263,9 @@ def test_shards_together_do_every_item_once(items, tso):
             ["a.ply,m.png,x.ply,2,fast"],
             "row 2: preset is 'fast', expected one of best, paper",
         ),
-        ("cloud,mask,stepps", ["a.ply,m.png,3"], "column 'stepps' is no option of tso refine"),
+        ("cloud,mask,stepps", ["a.ply,m.png,3"], "column 'stepps' is no option .*, expected steps"),
+        ("cloud,mask_path", ["a.ply,m.png"], "column 'mask_path' is no option .*, expected mask,"),
+        ("cloud,mask,steps", ["a.ply,m.png,5.5"], "steps is '5.5', expected a whole number"),
         ("cloud,mask,check", ["a.ply,m.png,1"], "column 'check' is not for one item"),
         ("cloud,mask,refine-camera", ["a.ply,m.png,maybe"], "expected true or false"),
         ("cloud,mask", ["a.ply,m.png"] * 2, "row 3: output: .*row 2 writes a.refined.record.json"),
@@ -269,6 +300,16 @@ def test_shards_together_do_every_item_once(items, tso):
         ("cloud,mask,output", ["a.ply,m.png,../x.ply"], "expected a name below the folder"),
         ("cloud,mask,output", ["a.ply,m.png,s3://a/../x.ply"], "expected a name below the folder"),
         ("cloud,mask,output", ["a.ply,m.png,/x.ply"], "expected a name below the folder"),
+        ("cloud,mask,output", ["a.ply,m.png,~/x.ply"], "expected a name below the folder"),
+        ("cloud,mask,output", ["a.ply,m.png,..\\x.ply"], "expected a name below the folder"),
+        ("cloud,mask,output", ["a.ply,m.png,file:///f/x.ply"], "expected a name below the folder"),
+        ("cloud,mask,output", ["a.ply,m.png,local:///f/x.ply"], "expected a name below the folder"),
+        ("cloud,mask,output", ["a.ply,m.png,memory://x.ply"], "expected a name below the folder"),
+        (
+            "cloud,mask,output",
+            ["a.ply,m.png,simplecache::file:///f/x.ply"],
+            "expected a name below the folder",
+        ),
     ],
 )
 def test_a_wrong_row_is_refused_before_anything_is_done(items, tso, header, rows, message):
@@ -283,7 +324,7 @@ def test_a_wrong_row_is_refused_before_anything_is_done(items, tso, header, rows
 
 def test_the_folder_of_a_batch_is_no_address(items, tso, tmp_path):
     items(HEADER, row("a.ply"))
-    refusal = tso("batch", "items.csv", "-o", f"file://{tmp_path}/out").refusal
+    refusal = tso("batch", "items.csv", "-o", "s3://bucket/out").refusal
     assert "is an address, expected a folder" in refusal
     assert {path.name for path in tmp_path.iterdir()} == {"items.csv"}
 
@@ -468,14 +509,41 @@ def test_the_index_shows_every_item_with_its_last_end(items, tso):
     assert "<b>" not in page
 
 
+FAR = """
+from fsspec.implementations.local import LocalFileSystem
+
+
+class Far(LocalFileSystem):
+    protocol = "far"
+
+    @classmethod
+    def _strip_protocol(cls, path):
+        return LocalFileSystem._strip_protocol(str(path).removeprefix("far://"))
+"""
+
+
+@pytest.fixture
+def far(tmp_path_factory, monkeypatch):
+    """A store at far://, of which the processes know as of one that another package brings."""
+    fsspec = pytest.importorskip("fsspec")
+    package = tmp_path_factory.mktemp("package")
+    about = package / "far-1.dist-info"
+    about.mkdir()
+    (package / "far_store.py").write_text(FAR)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: far\nVersion: 1\n")
+    (about / "entry_points.txt").write_text("[fsspec.specs]\nfar = far_store.Far\n")
+    monkeypatch.syspath_prepend(package)
+    fsspec.register_implementation("far", "far_store.Far", clobber=True)
+
+
 def chair_at_an_address(folder):
     """The address of a folder with cloud, mask and camera of the chair."""
-    pytest.importorskip("fsspec")
     for name in ("initial.ply", "mask.png", "camera.json"):
         shutil.copy(CHAIR / name, folder / name)
-    return f"file://{folder}"
+    return f"far://{folder}"
 
 
+@pytest.mark.usefixtures("far")
 def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
     here = chair_at_an_address(tmp_path)
     items(
@@ -504,6 +572,7 @@ def test_inputs_and_results_may_be_at_addresses(items, tso, tmp_path):
     )
 
 
+@pytest.mark.usefixtures("far")
 def test_a_camera_next_to_a_remote_mask_is_found_and_the_record_names_addresses(
     items, tso, tmp_path
 ):
@@ -533,13 +602,58 @@ def test_a_camera_next_to_a_remote_mask_is_found_and_the_record_names_addresses(
     assert again["done"] == 2
 
 
+@pytest.mark.usefixtures("far")
 def test_errors_of_remote_items_name_addresses(items, tso, tmp_path):
-    pytest.importorskip("fsspec")
     Path("mask.png").write_text("no picture")
-    items("cloud,mask", f"{CHAIR / 'initial.ply'},file://{tmp_path}/mask.png")
+    items("cloud,mask", f"{CHAIR / 'initial.ply'},far://{tmp_path}/mask.png")
     assert tso("batch", "items.csv", "-o", "out", "-q").code == 3
     (*_, entry) = entries(Path("out/journal.jsonl"))
-    assert entry["reason"].startswith(f"file://{tmp_path}/mask.png: ")
+    assert entry["reason"].startswith(f"far://{tmp_path}/mask.png: ")
+
+
+@pytest.mark.parametrize("write", ["{}", "file://{}", "file://localhost{}", "~{}", "\\{}"])
+def test_a_cell_names_a_file_as_windows_the_shell_and_browsers_do(tmp_path, monkeypatch, write):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    cloud = tmp_path / "a chair/a.ply"
+    text = {
+        "{}": str(cloud), "~{}": "~/a chair/a.ply", "\\{}": "a chair\\a.ply",
+    }.get(write, write.format(str(cloud).replace(" ", "%20")))  # fmt: skip
+    row = Item("row 1", {"cloud": text, "mask": "m.png", "output": "in\\a.ply"})
+    ((name, given),) = options_of_items([row], str(tmp_path), Path("out"), False)
+    assert (name, given["source"]) == ("in/a.ply", str(cloud))
+
+
+def test_columns_of_the_user_are_kept_in_the_journal_and_shown_on_the_page(items, tso):
+    items(f",{HEADER},kind", f"7,{row('a.ply', more='2.0,best')},arm chair")
+    run = tso("batch", "items.csv", "-o", "out", "--report")
+    assert (run.code, "kept in the journal: index, kind" in run.err) == (0, True)
+    (*_, entry) = entries(Path("out/journal.jsonl"))
+    assert entry["columns"] == {"index": "7", "kind": "arm chair"}
+    assert '"columns kind":"arm chair"' in Path("out/index.html").read_text()
+
+
+@linux
+def test_what_is_no_file_or_has_an_impossible_name_ends_its_own_item_alone(items, tso):
+    os.mkfifo("pipe.ply")
+    items(
+        HEADER, row("a.ply", "pipe.ply"), row("b.ply", "/dev/zero"), row("c" * 300 + ".ply"),
+        row("d.ply"),
+    )  # fmt: skip
+    found = json.loads(tso("batch", "items.csv", "-o", "out", "-q", "--json", "--report").out)
+    assert found["done"] == 1
+    reasons = {one["item"][0]: one["reason"] for one in found["not_done"]}
+    assert reasons["a"] == "pipe.ply: is not a regular file, expected one"
+    assert reasons["b"] == "/dev/zero: is not a regular file, expected one"
+    assert "name too long" in reasons["c"]
+
+
+@linux
+def test_an_item_that_takes_too_long_is_given_up(items, tso):
+    items(HEADER, row("a.ply", more="1000000,best"))
+    found = tso("batch", "items.csv", "-o", "out", "--item-seconds", 2, "--json", "-q")
+    assert (found.code, json.loads(found.out)["not_done"]) == (
+        3, [{"item": "a.ply", "event": "failed", "reason": "took over 2 seconds"}],
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -596,3 +710,15 @@ def test_the_recipe_for_gnu_parallel_does_every_item_once(items, tmp_path):
     subprocess.run(["sh", "-c", command], env=environment, cwd=tmp_path, check=True)
     ends = [ends_of(path) for path in sorted(Path("results").glob("*.jsonl"))]
     assert {**ends[0], **ends[1]} == {f"{number}.ply": ["done"] for number in range(3)}
+
+
+@pytest.mark.parametrize(
+    "more", [{"mask": 5}, {"mask": [1]}, {}, {"mask": "a.png", "output": ""}], ids=str
+)
+def test_a_row_of_an_array_is_refused_as_that_of_a_cloud_is(items, tso, more):
+    items("cloud,mask", "")
+    np.save("array.npy", np.random.default_rng(0).normal(size=(2, 5, 3)))
+    Path("rows.jsonl").write_text(json.dumps({"cloud": "array.npy", **more}) + "\n")
+    run = tso("batch", "rows.jsonl", "-o", "out", "--quiet")
+    assert run.code in (1, 2)
+    assert not list(Path("out").glob("**/*.ply"))

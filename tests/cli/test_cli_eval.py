@@ -87,6 +87,23 @@ def test_two_files_give_one_pair_with_raw_numbers(cloud, document):
     assert (found["convention"]["protocol"], found["convention"]["seed"]) == ("plain", 0)
 
 
+def test_arrays_of_clouds_are_compared_cloud_by_cloud(pictured, document, refusal):
+    clouds, masks = pictured / "a.npy", pictured / "masks.npy"
+    dense = read_cloud(pictured / "cloud.ply").points
+    np.save(clouds, np.stack([dense, dense + [0.0, 0.5, 0.0]]))
+    np.savez(pictured / "b.npz", points=np.stack([dense, dense]))
+    inside = read_mask(pictured / "mask.png") > 0.5
+    np.save(masks, np.stack([inside, inside[::-1, ::-1]]))
+    found = document(clouds, pictured / "b.npz", "--chamfer", "--iou", "--mask", masks)["pairs"]
+    assert [pair["name"] for pair in found] == ["a[0]", "a[1]"]
+    assert [pair["chamfer"] > 0.01 for pair in found] == [False, True]
+    assert [pair["iou"] > 0.5 for pair in found] == [True, False]
+    np.save(pictured / "b.npy", dense)
+    message = refusal(clouds, pictured / "b.npy")
+    assert "a.npy holds 2 shapes and" in message
+    assert "b.npy 1, expected the same number" in message
+
+
 def test_the_table_shows_thousandfold_values_and_names_its_convention(cloud, run, document):
     a, b = cloud("a.ply", 1), cloud("b.ply", 2)
     result = run(a, b)

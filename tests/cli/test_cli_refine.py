@@ -427,9 +427,9 @@ BAD = {
     ),
     "cloud elsewhere": ("move:initial.ply", "POINTS", "mask.png --check"),
     "depth map of another size": (
-        "mask:bad.png:8:9",
+        "wide:bad.png",
         "POINTS --depth bad.png",
-        "bad.png 8x8 mask.png 256x256",
+        "bad.png 16x8 mask.png 256x256",
     ),
     "two depth maps": (
         "",
@@ -448,11 +448,6 @@ BAD = {
         "",
         "POINTS --depth mask.png --preset paper",
         "--depth points best paper",
-    ),
-    "depth, fitted camera": (
-        "",
-        "POINTS --depth mask.png --camera fit",
-        "--depth distance --camera fit",
     ),
     "depth for a network": (
         "",
@@ -489,6 +484,7 @@ DAMAGE = {
     "mask": lambda path, side, value: Image.fromarray(
         np.full((int(side), int(side)), int(value), np.uint8)
     ).save(path),
+    "wide": lambda path: Image.new("L", (16, 8), 9).save(path),
     "set": lambda path, key, value: _change_json(
         path, lambda document: document | {key: json.loads(value)}
     ),

@@ -57,7 +57,7 @@ def maps(depth_map):
     ("words", "line"),
     [
         ("inverse.png", "inverse.png: the map looks like inverse depth (rank correlation with the "
-         "cloud's depth -0.8"),
+         "cloud's depth -0."),
         ("inverse.png", " and is ignored: try --depth-kind inverse"),
         ("affine.png", "affine.png: the map looks like depth up to scale and shift"),
         ("affine.png", " and is ignored: try --depth-kind affine"),

@@ -24,7 +24,7 @@ from tso_cli.commands.refine import run as refine_run
 from tso_cli.errors import InputError
 from tso_cli.io import output, reading
 from tso_cli.io.clouds import read_cloud, write_cloud
-from tso_cli.io.images import read_depth
+from tso_cli.io.depth_maps import read_depth
 from tso_cli.io.masks import read_mask
 from tso_cli.io.output import atomic_output, sole_writer
 from tso_cli.io.ply_body import BinaryBody

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import binary_erosion
 from scipy.stats import spearmanr
 
 from tests.scenes import Example, block, depth_of, example
@@ -201,3 +202,13 @@ def test_a_line_is_that_of_least_squares_or_of_most_pairs():
     strays = rng.random(300) < 0.3
     found = line(x, np.where(strays, 4.0, exact + rng.normal(0.0, 0.01, 300)))
     assert found == pytest.approx((0.3, 2.0), abs=0.01)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_a_map_whose_border_mixes_object_and_background_is_not_suspected(name):
+    view, depth = SCENES[name].view, DEPTHS[name]
+    border = view.inside & ~binary_erosion(view.inside, iterations=2)
+    mixed = np.where(
+        border, depth + np.linspace(0.3, 3.0, border.size).reshape(border.shape), depth
+    )
+    assert held(SCENES[name].points, with_map(name, mixed)) == "z"

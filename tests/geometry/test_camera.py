@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.corruption import assert_refused
-from tso_cli.geometry.camera import NEAR, Camera
+from tso_cli.geometry.camera import NEAR, Camera, intrinsics
 
 CANONICAL = Camera.canonical(64, 48)
 
@@ -92,3 +92,7 @@ def test_an_orthographic_camera_sees_every_point():
 def test_what_is_no_camera_is_refused(change, words):
     good = dict(K=CANONICAL.K, R=CANONICAL.R, t=CANONICAL.t, width=64, height=48)
     assert_refused(words, Camera, **(good | change))
+
+
+def test_a_focal_length_without_digits_is_refused():
+    assert_refused("fx = 1e-300", Camera, intrinsics(1e-300, 64, 64), np.eye(3), np.ones(3), 64, 64)

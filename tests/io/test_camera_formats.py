@@ -317,19 +317,17 @@ def test_the_stem_of_a_mask_is_that_of_its_picture():
         assert stem(name) == "000"
 
 
-def test_a_reader_of_another_package_is_found_by_its_entry_point(tmp_path, monkeypatch):
-    """As in docs/files.md: a package may register a reader."""
-    import importlib.metadata as metadata
-
-    from tests.io.plugin_example import Reader
-
-    class Point:
-        name = "numbers"
-
-        def load(self):
-            return Reader()
-
-    monkeypatch.setattr(metadata, "entry_points", lambda group: [Point()])
+@pytest.mark.parametrize("name", ["Reader", "Reader()"])
+def test_a_reader_of_another_package_is_found_by_its_entry_point(tmp_path, monkeypatch, name):
+    """As in docs/files.md: a package may register a reader, a class or an object."""
+    module, package = f"my_package_{len(name)}", tmp_path / "package"
+    about = package / "my_package-1.dist-info"
+    about.mkdir(parents=True)
+    source = f"from tests.io.plugin_example import Reader\nreader = {name}\n"
+    (package / f"{module}.py").write_text(source)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1\n")
+    (about / "entry_points.txt").write_text(f"[tso.cameras]\nnumbers = {module}:reader\n")
+    monkeypatch.syspath_prepend(package)
     (tmp_path / "c.numbers").write_text("NUMBERS 480 127.5 127.5 0 0 2\n")
     views, name = read_partial_cameras(tmp_path / "c.numbers")
     assert name == "numbers"

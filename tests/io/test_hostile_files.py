@@ -206,7 +206,7 @@ def test_a_small_scene_of_many_gigabytes_is_refused_before_they_are_taken(
     tmp_path, monkeypatch, read
 ):
     read(a_scene(tmp_path, instances=3))
-    assert_refused("accessors.*bufferView", read, a_scene(tmp_path, count=100_000_000))
+    assert_refused("stand for about 10.4 GiB", read, a_scene(tmp_path, count=100_000_000))
     monkeypatch.setattr(reading, "free_memory", lambda: 1e6)
     assert_refused(r"needs about 0\.0\d+ GiB of memory", read, a_scene(tmp_path, instances=5000))
 
@@ -321,6 +321,79 @@ def test_a_count_that_lies_costs_neither_time_nor_memory(save, name):
     tracemalloc.stop()
     assert peak < 2**26
     assert time.process_time() - start < 3.0
+
+
+def copies(of, count):
+    """A scene of a box with ``count`` copies of something small."""
+    document, _ = parts_of(new_mesh(".glb", POINTS, FACES))
+    (primitive,) = document["meshes"][0]["primitives"]
+    chain = [{"children": [i + 1]} for i in range(count)]
+    parts = {
+        "nodes": {"nodes": [*chain, {"mesh": 0}], "scenes": [{"nodes": [0]}], "scene": 0},
+        "primitives": {"meshes": [{"primitives": [primitive] * count}]},
+        "buffers": {"buffers": [json.loads(a_gltf())["buffers"][0], *[{"byteLength": 0}] * count]},
+        "files": {"buffers": [json.loads(a_gltf())["buffers"][0], *[{"uri": "a.bin"}] * count]},
+    }
+    return a_gltf(**parts[of])
+
+
+def shared_lists(depth):
+    nested = [0.5] * 10
+    for _ in range(depth):
+        nested = [nested] * 10
+    return nested
+
+
+IN_ITSELF = []
+IN_ITSELF.append(IN_ITSELF)
+ROUND = np.c_[np.cos(np.arange(4000) / 637), np.sin(np.arange(4000) / 637)] * 1400 + [2000, 1500]
+SIZE = {"height": 3000, "width": 4000}
+SMALL = {
+    "chain.gltf": (copies("nodes", 40_000), ""),
+    "parts.gltf": (copies("primitives", 10_000), ""),
+    "buffers.gltf": (copies("buffers", 20_000), ""),
+    "files.gltf": (copies("files", 2), "uri is a.bin, expected a file or data of its own"),
+    "lists.pt": (a_pt({"points": shared_lists(9)}), r"stand for 1e\+10 numbers, expected at most"),
+    "loop.pt": (a_pt({"points": IN_ITSELF}), "stand for inf numbers"),
+    "expanded.pt": (a_pt({"points": [torch.ones(1).expand(10**9, 3)]}), "stand for 3e"),
+    "round.json": ({"segmentation": [ROUND.ravel().tolist()], **SIZE}, ""),
+    "zigzag.json": (
+        {"segmentation": [[9, 0, 9, 3000] * 2000 for _ in range(2)], **SIZE},
+        "outlines that cross 12,000,000 rows of 2 pixels",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_the_work_for_a_small_file_is_small_or_the_file_is_refused(save, name):
+    content, says = SMALL[name]
+    save("a.bin", b"1234")
+    path = save(name, content)
+    read = read_mask if name.endswith(".json") else read_cloud
+    start = time.process_time()
+    tracemalloc.start()
+    try:
+        if says:
+            assert_refused(says, read, path)
+        else:
+            result = read(path)
+            if name.endswith(".gltf"):
+                result.source.with_points(result.points + 1.0)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 2**30
+    assert time.process_time() - start < 30.0
+
+
+def test_parts_that_show_the_same_corners_too_often_are_refused(save):
+    corners = np.tile(FACES, (10_000, 1))
+    document, binary = parts_of(new_mesh(".glb", POINTS, corners))
+    uri = f"data:application/octet-stream;base64,{base64.b64encode(binary).decode()}"
+    document["buffers"][0]["uri"] = uri
+    document["meshes"][0]["primitives"] *= 500
+    path = save("a.gltf", json.dumps(document).encode())
+    assert_refused("stand for about .* GiB, expected at most 1 for its size", read_cloud, path)
 
 
 @pytest.mark.parametrize("name", ["cloud.npz", "cloud.pt", "mask.npz"])

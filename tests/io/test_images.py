@@ -10,11 +10,11 @@ import pytest
 from PIL import Image
 
 from tests.corruption import assert_reads_or_refuses, assert_refused, repair_png
+from tso_cli.io.depth_maps import read_depth
 from tso_cli.io.images import (
     PIXEL_LIMIT,
     has_alpha,
     orientation,
-    read_depth,
     read_image,
     write_image,
 )
@@ -293,18 +293,6 @@ def test_any_damage_is_read_or_refused_in_one_line(tmp_path, read, name):
     was_read, refused = assert_reads_or_refuses(checked, tmp_path / name, count=100, repair=repair)
     assert was_read > 3 or (name == "array.npy" and read is read_image)
     assert refused > 8
-
-
-def test_a_depth_map_keeps_sixteen_bits_and_its_scale_and_what_is_unknown_becomes_nan(tmp_path):
-    values = np.array([[0, 1, 1000], [2345, 40000, 65535]], np.uint16)
-    Image.fromarray(values).save(tmp_path / "depth.png")
-    wanted = np.where(values == 0, np.nan, values / 1000.0)
-    np.testing.assert_allclose(read_depth(tmp_path / "depth.png", 0.001), wanted)
-    floats = np.array([[0.0, np.nan, np.inf], [0.5, 2.0, 3.0]], np.float32)
-    np.save(tmp_path / "depth.npy", floats)
-    Image.fromarray(floats).save(tmp_path / "depth.tiff")
-    for name in ("depth.npy", "depth.tiff"):
-        np.testing.assert_allclose(read_depth(tmp_path / name), [[np.nan] * 3, [0.5, 2.0, 3.0]])
 
 
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path):

@@ -11,6 +11,7 @@ from PIL import Image
 from tests.corruption import assert_reads_or_refuses, assert_refused
 from tso_cli.io.images import orientation
 from tso_cli.io.masks import MaskChoice, labels_of, masks_in, read_mask
+from tso_cli.io.views import ViewFiles, load_views
 
 FILES = Path(__file__).with_name("files") / "masks"
 ONE = np.zeros((40, 60), bool)
@@ -160,7 +161,8 @@ def test_each_segmentation_of_several_pictures_has_the_size_of_its_own(tmp_path)
         mask = read_mask(path, MaskChoice(index=index))
         assert mask.shape == shape
         assert mask.sum() == 18
-    assert_refused("expected height and width of the picture", read_mask, path, MaskChoice(index=2))
+    assert_refused("does not say height and width of the picture", read_mask, path,
+                   MaskChoice(index=2))  # fmt: skip
 
 
 def test_logits_are_inside_where_they_are_over_zero(tmp_path):
@@ -307,18 +309,54 @@ def test_labels_of_arrays_may_be_floats_and_not_booleans(tmp_path):
     assert_refused("holds true and false", read_mask, tmp_path / "b.npy", MaskChoice("1"))
 
 
-def test_a_label_of_a_list_of_segmentations_is_refused():
+def test_a_label_of_a_list_without_labels_is_refused():
     path = FILES / "sam_auto.json"
-    assert_refused("choose one: `mask_index` N", read_mask, path, MaskChoice(label="1"))
+    assert_refused("has no label 1, expected one of 0 .*: `mask_index` N", read_mask, path,
+                   MaskChoice(label="1"))  # fmt: skip
+
+
+def test_the_border_in_a_palette_of_labels_is_unknown(tmp_path):
+    labels = np.where(OTHER, np.uint8(15), LABELS)
+    labels[20:24], labels[:2] = 255, 255
+    image = Image.fromarray(labels, "P")
+    image.putpalette([c for i in range(256) for c in (i, 255 - i, 128)])
+    image.putpalette([0, 0, 0, *image.getpalette()[3:]])
+    image.save(tmp_path / "voc.png")
+    assert_refused(r"one of 15 \(264 px\), 1 \(240 px\): `label` N", read_mask,
+                   tmp_path / "voc.png")  # fmt: skip
+    np.testing.assert_array_equal(read_mask(tmp_path / "voc.png", MaskChoice("15")), OTHER)
+    (view,), _ = load_views(ViewFiles([tmp_path / "voc.png"], choice=MaskChoice("1")))
+    np.testing.assert_array_equal(view.mask, ONE)
+    np.testing.assert_array_equal(view.known, labels != 255)
+    # Without another label 255 is the object.
+    image.putdata((ONE * np.uint8(255)).ravel())
+    image.save(tmp_path / "one.png")
+    np.testing.assert_array_equal(read_mask(tmp_path / "one.png"), ONE)
 
 
 @pytest.mark.parametrize(
     ("document", "says"),
     [
         ({"K": [], "R": []}, "is a camera file, expected a mask"),
-        ({"shapes": [], "imagePath": "a.png"}, "is an annotation of LabelMe"),
+        ({"boxes": []}, "size is missing, expected an annotation: COCO, SAM, labelme"),
     ],
 )
 def test_other_files_of_json_than_segmentations_are_named(tmp_path, document, says):
     (tmp_path / "a.json").write_text(json.dumps(document))
     assert_refused(says, read_mask, tmp_path / "a.json")
+
+
+def test_an_array_of_no_mask_says_so(tmp_path):
+    np.save(tmp_path / "a.npy", np.empty((0, 30, 40), bool))
+    assert_refused(r"holds bool \[0, 30, 40\], expected a mask", read_mask, tmp_path / "a.npy")
+
+
+def test_a_pixel_is_inside_if_its_middle_is_in_one_of_the_polygons(tmp_path):
+    from skimage.draw import polygon2mask
+
+    random = np.random.default_rng(0)
+    polygons = [random.uniform(-20, 110, (corners, 2)) for corners in (3, 5, 9, 20)]
+    polygon = {"segmentation": [p.ravel().tolist() for p in polygons], "height": 70, "width": 90}
+    (tmp_path / "a.json").write_text(json.dumps(polygon))
+    expected = np.any([polygon2mask((70, 90), p[:, ::-1] - 0.5) for p in polygons], axis=0)
+    np.testing.assert_array_equal(read_mask(tmp_path / "a.json"), expected)

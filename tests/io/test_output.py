@@ -142,3 +142,12 @@ def test_what_a_library_says_becomes_one_printable_line():
     )
     assert reason(KeyError()) == "KeyError"
     assert len(reason(ValueError("x" * 1000))) == 200
+
+
+def test_a_link_that_leads_nowhere_is_not_followed_without_overwrite(tmp_path):
+    link = tmp_path / "a.txt"
+    link.symlink_to(tmp_path / "elsewhere.txt")
+    assert_refused("exists already", check_output, link, False)
+    with pytest.raises(InputError, match="exists already"), atomic_output(link, overwrite=False):
+        pass
+    assert list(tmp_path.iterdir()) == [link]

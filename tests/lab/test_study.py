@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -137,8 +138,11 @@ def test_the_command_writes_record_chart_and_page_and_goes_on_from_the_record(to
     assert "--size" in call("--size", 0).refusal
 
 
-def test_outputs_that_cannot_be_are_refused_before_the_work(toy, tmp_path):
+def test_outputs_that_cannot_be_are_refused_before_the_work(toy, tmp_path, monkeypatch):
     call, output = toy
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "matplotlib", None)
+        assert "charts need matplotlib, which is not installed" in call("-o", output).refusal
     assert "--resume goes on from a record" in call("--resume").refusal
     assert "expected .json" in call("-o", tmp_path / "toys.txt").refusal
     kinds = {"precious": "is not JSON", "[1]": "no JSON object", '{"study": "sigma"}': "'sigma'"}

@@ -338,3 +338,18 @@ def test_a_thin_cloud_that_is_stretched_is_not_turned_by_default(pitch, yaw, rol
     assert _move(wrong, View(np.float32(mask), camera)).kind == "nothing"
     result = refine(wrong, np.float32(mask), camera)
     assert chamfer(result.points, truth).chamfer < 0.6 * chamfer(wrong, truth).chamfer
+
+
+def test_what_the_masks_do_not_determine_is_not_called_exact():
+    # How a bottle is turned about its axis is anyone's guess.
+    profile = [[0.0, -0.5], [0.17, -0.5], [0.17, 0.15], [0.07, 0.3], [0.07, 0.5], [0.0, 0.5]]
+    revolved = trimesh.creation.revolve(profile, sections=64)
+    mesh = Mesh(revolved.vertices[:, [0, 2, 1]], revolved.faces[:, ::-1])
+    camera = look_at(30.0, 25.0, 2.4, (128, 128))
+    mask = np.float32(render_view(RayScene(mesh), camera).mask > 127)
+    points = sample_surface(mesh.vertices, mesh.faces, 4096, np.random.default_rng(0))
+    move = _move(_wrong(points), View(mask, camera), asked="pose")
+    about_x, about_axis, about_z = move.exact_to.degrees
+    assert max(about_x, about_z) < 20.0
+    assert about_axis > 90.0
+    assert move.exact_to.size == 0.0  # it was kept

@@ -100,7 +100,7 @@ def test_a_scene_that_is_no_pair_is_an_error_of_its_own():
         (None, {}, "^scenes is None, expected a sequence"),
         (3, {}, "^scenes is 3, expected a sequence"),
         ([], {"config": RefineConfig(mode="latent")}, "for a batch"),
-        ([], {"config": {"steps": 3}}, "^config is {'steps': 3}, expected a RefineConfig"),
+        ([], {"config": [3]}, "^config is of type list, expected a RefineConfig"),
         ([], {"executor": 3}, "^executor is 3, expected one of concurrent.futures"),
         ([], {"executor": 0}, "^executor is 0, expected one of concurrent.futures"),
     ],

@@ -213,3 +213,11 @@ def test_threads_that_prepare_batches_ahead_change_no_weight(tso_train, folder, 
     one, three = map(load_file, names)
     assert one.keys() == three.keys()
     assert all(torch.equal(one[key], three[key]) for key in one)
+
+
+def test_the_end_of_a_complete_training_is_said_when_it_is_resumed(tso_train, folder, tmp_path):
+    assert tso_train(folder, "--steps", 2).code == 0
+    before = (tmp_path / "base.safetensors").read_bytes()
+    again = tso_train(folder, "--steps", 2, "--resume")
+    assert (again.code, "the training is complete, with 2 steps" in again.err) == (0, True)
+    assert (tmp_path / "base.safetensors").read_bytes() == before

@@ -267,7 +267,7 @@ def test_a_resume_with_other_settings_or_other_data_or_without_a_state_is_refuse
         "steps is .*, expected more: 2 steps are done already",
         train,
         data,
-        config(steps=2, **same),
+        config(steps=1, **same),
         resume(path, data, config(**same)),
     )
     assert_refused(

@@ -317,3 +317,11 @@ def test_once_it_is_to_stop_no_job_begins():
                 stopped.append(one.job)
             last = one.job
     assert last <= 5
+
+
+def test_work_that_takes_too_long_ends_and_its_process_does_the_next_piece():
+    with WorkerPool(1, seconds=5.0) as pool:
+        late, next_piece = pool.submit(sleep, 60), pool.submit(square, 3)
+        with pytest.raises(TimeoutError, match="took over 5 seconds"):
+            late.result()
+        assert next_piece.result() == 9

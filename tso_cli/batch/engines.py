@@ -31,13 +31,15 @@ class Engine:
 
 
 @contextmanager
-def engine(name: str, processes: int, scheduler: str | None) -> Iterator[Engine]:
-    """The engine ``name`` while it is used."""
+def engine(
+    name: str, processes: int, scheduler: str | None, seconds: float | None = None
+) -> Iterator[Engine]:
+    """The engine ``name`` while it is used; a process of this machine may need ``seconds``."""
     if name == "dask":
         with _dask(processes, scheduler) as cluster:
             yield cluster
         return
-    pool = WorkerPool(processes)
+    pool = WorkerPool(processes, seconds)
     try:
         yield Engine(pool, AHEAD * processes)
     finally:

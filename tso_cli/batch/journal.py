@@ -25,6 +25,8 @@ RETURNED = "returned"  # a start that came to nothing, because the batch was end
 # was wrong may be mended, and nobody takes a refusal for a result.
 ENDS = ("done", "doubtful", "refused", "failed")
 TRIED_AGAIN = ("refused", "failed")
+# What a line says in numbers, if it says it.
+NUMBERS = ("confidence", "iou_before", "iou_after", "seconds")
 # How every whole line begins.
 BEGINNING = b'{"item": '
 # An item that was started so often without an end may have ended the whole batch.
@@ -102,16 +104,30 @@ def entries(path: Path) -> Iterator[dict[str, Any]]:
     with lines:
         for line in lines:
             try:
-                entry = json.loads(line)
-                if entry["event"] not in (STARTED, RETURNED, *ENDS):
-                    raise ValueError
-                entry["item"], entry["time"] = str(entry["item"]), float(entry["time"])
-            except (ValueError, TypeError, KeyError, OverflowError):
-                damaged += not line.startswith(BEGINNING)  # others were cut off
+                entry = _entry(line)
+            except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+                # Others were cut off.
+                damaged += line.rstrip().endswith(b"}") or not line.startswith(BEGINNING)
             else:
                 yield entry
     if damaged:
         warnings.warn(f"{path}: {damaged:,} lines are damaged, and say nothing", stacklevel=2)
+
+
+def _entry(line: bytes) -> dict[str, Any]:
+    """What a line says; some error if it is no line of a journal."""
+    entry: dict[str, Any] = json.loads(line)
+    if entry["event"] not in (STARTED, RETURNED, *ENDS):
+        raise ValueError
+    entry["item"] = str(entry["item"])
+    for name in ("time", *NUMBERS):
+        if entry.get(name) is not None or name == "time":
+            entry[name] = float(entry[name])
+            if not math.isfinite(entry[name]):
+                raise ValueError
+    if not isinstance(entry.get("columns", {}), dict):
+        raise TypeError
+    return entry
 
 
 class Journal:
@@ -123,8 +139,10 @@ class Journal:
     def add(self, item: str, event: str, **more: Any) -> None:
         """Append a line. It is written at once and whole, whatever becomes of this process."""
         entry = {"item": item, "event": event, "time": round(time.time(), 3), **more}
+        line = json.dumps(entry).encode() + b"\n"
         try:
-            os.write(self._descriptor, json.dumps(entry).encode() + b"\n")
+            while line:  # a disk that is nearly full takes a part
+                line = line[os.write(self._descriptor, line) :]
         except OSError as error:
             raise TsoError(
                 f"{self.path}: cannot be written ({reason(error)}), so the batch has ended; the "

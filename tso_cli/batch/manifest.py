@@ -13,6 +13,7 @@ import os
 import sys
 import zlib
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
@@ -103,7 +104,8 @@ def _read(manifest: Path | str) -> tuple[str, str]:
             f"{name}: is not UTF-8 (row {row} has the byte 0x{data[place]:02x}), expected "
             f"{EXPECTED}, in UTF-8"
         )
-    return text, name
+    # Excel for old Macs ends lines with CR alone.
+    return (text if "\n" in text else text.replace("\r", "\n")), name
 
 
 @lru_cache
@@ -150,8 +152,8 @@ def _of_csv(lines: Iterator[str], name: str) -> Iterator[Item]:
     quotes = "; several masks in one cell need quotes" if separator == SEPARATOR else ""
     try:
         header = list(map(_column, next(rows)))
-        if len(set(header)) < len(header):
-            raise InputError(f"{name}: {_twice(header)}")
+        if len(set(filter(None, header))) < len([*filter(None, header)]):
+            raise InputError(f"{name}: {_twice(filter(None, header))}")
         for row in rows:
             cells = list(map(str.strip, row))
             if not any(cells):
@@ -171,9 +173,10 @@ def _of_csv(lines: Iterator[str], name: str) -> Iterator[Item]:
 def _separator(header: str, name: str) -> str:
     """What separates the names of the columns: with it, one of them is `cloud`."""
     for separator in SEPARATORS:
-        cells = next(csv.reader([header], delimiter=separator), [])
-        if CLOUD in map(_column, cells):
-            return separator
+        with suppress(csv.Error):
+            cells = next(csv.reader([header], delimiter=separator), [])
+            if CLOUD in map(_column, cells):
+                return separator
     raise InputError(
         f"{name}: its first row is {plain(header.strip())}, expected the columns {CLOUD}, {MASK} "
         "and so on, with commas, semicolons or tabs between them"

@@ -10,6 +10,7 @@ from os.path import normpath, relpath
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import unquote
 
 from ..errors import InputError, TsoError, needed_by
 from ..io.cameras import names_next_to
@@ -20,6 +21,17 @@ MARK = "://"
 
 def is_remote(word: object) -> bool:
     return isinstance(word, str) and MARK in word
+
+
+def local_path(text: str) -> str:
+    """``text`` with a path in place of an address such as file:///a%20folder/a.ply."""
+    path = text.removeprefix("file://")
+    return text if path == text else unquote(path.removeprefix("localhost"))
+
+
+def is_on_this_machine(address: str) -> bool:
+    """Whether an address, perhaps through others, is a path of this machine or lost with it."""
+    return not {"file", "local", "memory"}.isdisjoint(re.split(r"://|::", address))
 
 
 @contextmanager

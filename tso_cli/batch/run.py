@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from ..errors import InputError, TsoError
@@ -110,12 +111,14 @@ def run(
     journal: Journal,
     on_end: OnEnd,
     interrupted: threading.Event,
+    carried: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> Summary:
     """Do all tasks, and write down what becomes of each.
 
     ``unchanged`` says of a task with a key whether its result and its inputs are as they were; it
     is then left out. Items that earlier runs began twice and never ended are done last and alone.
     Once ``interrupted`` is set (`waiting_for_items`), the items at work end and no other begins.
+    ``carried`` : what the line of an item's end says besides, under "columns".
     """
     summary = Summary(len(tasks))
     stopping = interrupted.is_set
@@ -128,6 +131,8 @@ def run(
         line = {"key": outcome.key, "seconds": round(outcome.seconds, 3), **outcome.values}
         if outcome.reason:
             line["reason"] = outcome.reason
+        if item in carried:
+            line["columns"] = carried[item]
         journal.add(item, outcome.event, **line)
         count(item, outcome)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..evaluation.footprint import Solid
-from ..geometry.arrays import Array, Bits, as_numbers
+from ..geometry.arrays import Array, Bits, as_numbers, as_numpy
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.view import View
 from ..io.paint import Paint
@@ -52,7 +52,7 @@ class Cloud:
     ) -> None:
         # A copy: what the caller does to the points later is no matter of the result. In rows: the
         # order in memory shows in the last digits.
-        self.points: Array = np.array(as_points(as_numpy(points), name), order="C")
+        self.points: Array = np.array(as_points(points, name), order="C")
         self.name = name
         self.predicted = predicted
         self.colours = (
@@ -196,11 +196,6 @@ class MovedCloud:
     measured: Array  # [M, 3], as `ControlledCloud.measured`
     solid: Solid  # as `ControlledCloud.solid`
     displacements: Array  # [N, 3] of the control points, in longest sides
-
-
-def as_numpy(values: Any) -> Any:
-    """A tensor as an array; anything else as it is. torch is not imported for this."""
-    return values.detach().cpu().numpy() if hasattr(values, "detach") else values
 
 
 def _as_colours(colours: Any, count: int, name: str) -> NDArray[np.float32]:

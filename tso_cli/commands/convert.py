@@ -42,6 +42,21 @@ class Size(click.ParamType):
         return width, height
 
 
+class Columns(click.ParamType):
+    """Three numbers of columns, from 1."""
+
+    name = "X,Y,Z"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int, int]:
+        words = str(value).split(",")
+        if len({*words}) != 3 or not all(re.fullmatch("[1-9][0-9]?", word) for word in words):
+            self.fail(f"{value!r}, expected three columns from 1, such as 2,3,4.", param, ctx)
+        x, y, z = (int(word) - 1 for word in words)
+        return x, y, z
+
+
 @dataclass(frozen=True, kw_only=True)
 class ConvertOptions:
     """What `tso convert` may be given.
@@ -50,6 +65,7 @@ class ConvertOptions:
         transforms.json.
     size : Size of the pictures, if A does not say it.
     intrinsics : Camera file whose K is used for the cameras of A.
+    columns : Columns of x, y and z in a table of points, from 1.
     """
 
     source: Path = opt(options.REQUIRED, role="argument", metavar="A")
@@ -59,6 +75,7 @@ class ConvertOptions:
     size: tuple[int, int] | None = opt(None, parser=Size())
     intrinsics: Path | None = opt(None)
     object_id: int | None = options.object_id()
+    columns: tuple[int, int, int] | None = opt(None, parser=Columns())
     overwrite: bool = options.overwrite()
 
     def __post_init__(self) -> None:
@@ -87,12 +104,13 @@ def command(ctx: click.Context, chosen: ConvertOptions) -> None:
             raise InputError(
                 f"{flag} is for cameras, found {chosen.target} as a cloud or mesh to write"
             )
-    _convert_cloud(chosen.source, chosen.target, chosen.overwrite)
+    _convert_cloud(chosen)
 
 
-def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
+def _convert_cloud(chosen: ConvertOptions) -> None:
     from ..io.clouds import MOVABLE, NEW, check_rounding, read_cloud, warn_of_losses, write_cloud
 
+    source, target, overwrite = chosen.source, chosen.target, chosen.overwrite
     suffix = target.suffix.lower()
     own = suffix in MOVABLE and suffix == source.suffix.lower()
     if suffix not in (*NEW, *MESHES) and not own:
@@ -101,7 +119,7 @@ def _convert_cloud(source: Path, target: Path, overwrite: bool) -> None:
             "for cameras .json, or --to"
         )
     check_output(target, overwrite)
-    cloud = read_cloud(source, extended=False)
+    cloud = read_cloud(source, extended=False, columns=chosen.columns)
     faces = cloud.faces()
     if suffix in MESHES and not own and faces is None:
         raise InputError(f"{source}: has no faces, expected a mesh for {suffix}")

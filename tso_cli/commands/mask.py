@@ -38,8 +38,9 @@ class MaskOptions:
 def command(ctx: click.Context, chosen: MaskOptions) -> None:
     """Show what would be used of the mask in FILE: its size, its foreground, and its box.
 
-    FILE is a picture, an image of labels, an array (.npy, .npz, .pt) or a segmentation of COCO
-    (.json). With -o the mask is written as a grey picture.
+    FILE is a picture, an image of labels, an array (.npy, .npz, .pt) or an annotation (.json, .xml,
+    .txt) of COCO, SAM, labelme, CVAT, VIA, Label Studio, YOLO or Cityscapes. With -o the mask is
+    written as a grey picture.
     """
     import numpy as np
 

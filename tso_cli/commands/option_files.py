@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -123,8 +124,10 @@ def _single(entry: Declared, value: Any, place: Callable[[str], str]) -> Any:
             return SWITCHES[value.casefold()] if text else value
         if entry.plain in (int, float) and isinstance(value, (int, float, str)):
             number = value
-            if text or (entry.plain is float and not isinstance(value, bool)):
-                number = entry.plain(value)
+            if entry.plain is int and not isinstance(value, bool):
+                number = _whole(value)
+            elif text or (entry.plain is float and not isinstance(value, bool)):
+                number = float(value)
             if entry._replace(length=1).takes(number):
                 return number
         if entry.plain is Path and text and value and _is_text(value):
@@ -137,6 +140,15 @@ def _single(entry: Declared, value: Any, place: Callable[[str], str]) -> Any:
     except (KeyError, ValueError, OverflowError):
         pass
     raise InputError(f"{shown(value)}, expected {'auto or ' if auto else ''}{entry.expected}")
+
+
+def _whole(value: float | str) -> float:
+    """A whole number, which tables may have as 5.0; others stay as they are."""
+    with suppress(ValueError):
+        if isinstance(value, str):
+            return int(value)
+    number = float(value)
+    return int(number) if number.is_integer() else number
 
 
 def _is_text(text: str) -> bool:

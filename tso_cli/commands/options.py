@@ -324,7 +324,7 @@ def object_id() -> Any:
 
 
 def label() -> Any:
-    help = "Label of the object in masks that show several; R,G,B in coloured ones."
+    help = "Label of the object in masks that show several: a number, R,G,B, or a name."
     return opt(None, help=help, metavar="N")
 
 

@@ -74,10 +74,10 @@ class SeenSurface:
         height, width = view.mask.shape
         pixel, within = pixels_under(px, depth > 0.0, height, width)
         (row, column), depth = np.divmod(pixel[within], width), depth[within]
-        known = (view.inside & np.isfinite(view.depth))[row, column]
-        column, row, depth = column[known], row[known], depth[known]
         left, top, right, bottom = view.box()
         block = max(1, round(max(right - left, bottom - top) / BLOCKS))
+        known = (_interior(view.inside, max(1, block // 3)) & np.isfinite(view.depth))[row, column]
+        column, row, depth = column[known], row[known], depth[known]
         key = (row // block) * width + column // block
         order = np.lexsort((depth, key))
         first = order[np.flatnonzero(np.diff(key[order], prepend=-1))]
@@ -170,6 +170,14 @@ def wrong_maps(points: Array, views: Sequence[View], any_size: bool = False) -> 
             if (contents := surface.contents(any_size)) != "z":
                 findings.append(Finding(f"depth-{contents}", (number,), values=surface.figures))
     return findings
+
+
+def _interior(inside: Bits, border: int) -> Bits:
+    """``inside`` [H, W] without its outermost ``border`` pixels."""
+    from scipy.ndimage import binary_erosion
+
+    interior: Bits = binary_erosion(inside, iterations=border)
+    return interior
 
 
 def _covered(view: View) -> float:

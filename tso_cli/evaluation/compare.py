@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError, prefixed
 from ..geometry.arrays import Array
 from ..geometry.points import farthest_point_sample, normalise_longest_side
+from ..io.clouds import read_cloud
 from ..io.masks import MaskChoice
 from ..io.shapes import read_shape, read_surface, shape_kind
 from ..losses.silhouette import silhouette_of
@@ -46,8 +47,8 @@ def evaluate(
 
 
 def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
-    prediction = _read(pair.prediction, config, [config.seed, 1])
-    target = _read(pair.target, config, config.seed)
+    prediction = _read(pair.prediction, config, [config.seed, 1], pair.index)
+    target = _read(pair.target, config, config.seed, pair.index)
     record: dict[str, Any] = {"name": pair.name}
     capnet = config.protocol == "capnet"
     with prefixed(f"{pair.prediction} against {pair.target}: "):
@@ -80,8 +81,11 @@ def _measure(pair: Pair, config: EvalConfig) -> dict[str, Any]:
     }
 
 
-def _read(path: Path, config: EvalConfig, seed: int | list[int]) -> Array:
-    points = read_shape(path, config.samples, seed, config.as_vertices)
+def _read(path: Path, config: EvalConfig, seed: int | list[int], index: int | None) -> Array:
+    if index is None:
+        points = read_shape(path, config.samples, seed, config.as_vertices)
+    else:
+        points = read_cloud(path, extended=False, index=index).points
     if config.points is None and (config.protocol != "capnet" or len(points) <= CAPNET_POINTS):
         return points
     count = config.points or CAPNET_POINTS

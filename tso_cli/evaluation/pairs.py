@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import InputError
 from ..geometry.view import View
 from ..io.cameras import find_camera, named_masks
+from ..io.clouds import ARRAYS, clouds_in
 from ..io.masks import MaskChoice
-from ..io.shapes import SUFFIXES
+from ..io.shapes import SUFFIXES, shape_kind
 from ..io.views import ViewFiles, load_views
 
 # In a folder a .txt file is more often a note than a cloud.
@@ -25,13 +26,17 @@ CAMERAS = (".camera.json", ".json", "/camera.json", "/cameras.json")
 
 @dataclass(frozen=True)
 class Pair:
-    """A prediction and its target, and for the IoU also the files of masks and cameras."""
+    """A prediction and its target, and for the IoU also the files of masks and cameras.
+
+    index : of both clouds in arrays [B, N, 3], and of the mask if that is an array.
+    """
 
     name: str
     prediction: Path
     target: Path
     mask: Path | None = None
     camera: Path | None = None
+    index: int | None = None
 
     def views(self, choice: MaskChoice) -> list[View]:
         """The views of the mask, or of the masks that the camera file names.
@@ -43,6 +48,8 @@ class Pair:
             if self.camera is None and find_camera(mask) is None:
                 names = f"{mask.stem}.camera.json or camera.json"
                 raise InputError(f"{mask}: found no {names} next to it, expected one or `camera`")
+        if self.index is not None and choice.index is None and masks[0].suffix.lower() in ARRAYS:
+            choice = replace(choice, index=self.index)
         return load_views(ViewFiles(masks, self.camera, choice=choice))[0]
 
 
@@ -77,7 +84,7 @@ def find_pairs(
         raise InputError(f"`suffix` {suffix} matches names in folders, but {prediction} is a file")
     else:
         predictions, targets = {prediction.stem: prediction}, {prediction.stem: target}
-    return [
+    pairs = [
         Pair(
             name,
             path,
@@ -87,6 +94,18 @@ def find_pairs(
         )
         for name, path in sorted(predictions.items())
     ]
+    return [part for pair in pairs for part in _of_arrays(pair)]
+
+
+def _of_arrays(pair: Pair) -> list[Pair]:
+    """The pair, or if both files hold several clouds a pair for each of these."""
+    files = pair.prediction, pair.target
+    count, other = (clouds_in(path) if shape_kind(path) == "cloud" else 1 for path in files)
+    if count != other:
+        of_target = f"{pair.target} {other}, expected the same number"
+        raise InputError(f"{pair.prediction} holds {count} shapes and {of_target}")
+    several = [replace(pair, name=f"{pair.name}[{i}]", index=i) for i in range(count)]
+    return several if count > 1 else [pair]
 
 
 def _by_name(folder: Path, suffix: str = "") -> dict[str, Path]:

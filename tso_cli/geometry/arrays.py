@@ -22,6 +22,14 @@ Box = tuple[float, float, float, float]
 LARGEST = 1e152
 
 
+def as_numpy(values: Any) -> Any:
+    """A tensor as an array; anything else as it is. torch is not imported for this."""
+    if not hasattr(values, "detach"):
+        return values
+    tensor = values.detach().cpu()
+    return (tensor.float() if "bfloat16" in str(tensor.dtype) else tensor).numpy()
+
+
 def as_numbers(values: Any, name: str, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     """``values`` as an array of ``dtype``, not copied if they are one.
 
@@ -29,7 +37,7 @@ def as_numbers(values: Any, name: str, dtype: DTypeLike = np.float64) -> NDArray
     is too large for ``dtype`` becomes infinite.
     """
     try:
-        array = np.asarray(values)
+        array = np.asarray(as_numpy(values))
         if array.dtype.kind not in "biufO":
             raise TypeError
         with np.errstate(over="ignore", invalid="ignore"):

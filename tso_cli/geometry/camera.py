@@ -20,6 +20,7 @@ from .points import longest_side
 CANONICAL_ROTATION = np.diag([1.0, -1.0, -1.0])
 CANONICAL_DISTANCE = 2.0
 CANONICAL_FOCAL_AT_64 = 120.0  # pixels, for an image whose longer side is 64 pixels
+SMALLEST_FOCAL = 1e-15  # pixels; a pose has no correct digits before a smaller one
 MODELS = ("perspective", "orthographic")
 # The least depth of a visible point, in units of the cloud's longest side.
 NEAR = 1e-3
@@ -36,7 +37,7 @@ class Camera:
 
     K: Array  # [3, 3] intrinsics in pixels of the image; last row (0, 0, 1)
     R: Array  # [3, 3] rotation, world to camera
-    t: Array  # [3] translation, world units
+    t: Array  # [3] or [3, 1] translation, world units
     width: int  # of the image in pixels
     height: int
     model: str = "perspective"  # u = fx X/Z + cx, or "orthographic": u = fx X + cx
@@ -59,6 +60,10 @@ class Camera:
             raise InputError(
                 f"K is singular or mirrored: fx = {fx:g}, fy = {fy:g}, expected both > 0{advice}"
             )
+        if self.model == "perspective" and min(fx, fy) < SMALLEST_FOCAL:
+            raise InputError(
+                f"K has fx = {fx:g} and fy = {fy:g} pixels, expected at least {SMALLEST_FOCAL:g}"
+            )
         with np.errstate(over="ignore", invalid="ignore"):
             error, handedness = np.abs(self.R @ self.R.T - np.eye(3)).max(), np.linalg.det(self.R)
         if not (error <= 1e-3 and handedness > 0.0):
@@ -69,6 +74,8 @@ class Camera:
 
     def _checked_array(self, name: str, shape: tuple[int, ...]) -> Array:
         value: Array = as_numbers(getattr(self, name), name)
+        if value.shape == (3, 1):
+            value = value[:, 0]
         if value.shape != shape:
             raise InputError(f"{name} has shape {list(value.shape)}, expected {list(shape)}")
         if not np.isfinite(value).all():

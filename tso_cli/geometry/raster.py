@@ -1,4 +1,4 @@
-"""Triangles drawn on a grid of samples."""
+"""Triangles and outlines drawn on a grid of samples."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from .arrays import Array, Bits
 
+MOST_CROSSINGS = 10_000_000  # of an outline and rows of samples; each takes some 60 bytes
 ACROSS = 3  # samples across a cell: an odd number has no ties at half coverage
 
 
@@ -54,3 +55,31 @@ def mostly_covered(triangles: Array, height: int, width: int) -> Bits:
         hits += marks[number // ACROSS :: ACROSS, number % ACROSS :: ACROSS]
     mask: Bits = 2 * hits > ACROSS**2
     return mask
+
+
+def fill(mask: Bits, corners: Array, most: int) -> int:
+    """Set the samples of ``mask`` [H, W] inside the closed outline ``corners`` [K, 2] (`covered`).
+
+    A sample is inside if a line from it crosses the outline an odd number of times. Returns how
+    many samples and crossings were looked at; raises ValueError for over ``most``.
+    """
+    sides = mask.shape[::-1]
+    low = np.floor(corners.min(0)).clip(0, sides).astype(np.int64)
+    width, height = (np.ceil(corners.max(0)) + 1).clip(low, sides).astype(np.int64) - low
+    x, y = (corners - low).T
+    across, down = np.roll(x, -1) - x, np.roll(y, -1) - y
+    first = np.ceil(np.minimum(y, y + down)).clip(0, height).astype(np.int64)
+    count = np.ceil(np.maximum(y, y + down)).clip(0, height).astype(np.int64) - first
+    total = int(count.sum())
+    if (work := total + int(width * height)) > most or total > MOST_CROSSINGS:
+        raise ValueError(f"outlines that cross {total:,} rows of {width:,} pixels")
+    row = np.arange(total) - np.repeat(count.cumsum() - count - first, count)
+    edge = np.repeat(np.arange(len(x)), count)
+    crossing = x[edge] + (row - y[edge]) * across[edge] / down[edge]
+    column = np.ceil(crossing).clip(0, width).astype(np.int64)
+    # Parities alone count, so that they may overflow.
+    flips = np.bincount(row * (width + 1) + column, minlength=height * (width + 1))
+    odd = flips.astype(np.uint8).reshape(height, width + 1)[:, :-1] & 1
+    (left, top), inside = low, np.bitwise_xor.accumulate(odd, 1) == 1
+    mask[top : top + height, left : left + width] |= inside
+    return work

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,8 @@ class Speck:
 class View:
     """A mask and the camera that saw it.
 
-    mask : [H, W] in [0, 1], inside 1; foreground is > 0.5. Soft values are kept.
+    mask : [H, W] in [0, 1], inside 1; foreground is > 0.5. Soft values are kept. It may be given as
+        `as_mask` takes it.
     known : [H, W], False where the mask says nothing; None if every pixel counts.
     name : what messages call the view, usually the file of the mask.
     depth : [H, W] of the surface along the camera's z axis, in the units of the camera's t, or
@@ -70,7 +71,7 @@ class View:
     depth_fitted: bool = False
 
     def __post_init__(self) -> None:
-        mask: Floats = as_numbers(self.mask, f"{self.name}: the mask", np.float32)
+        mask = as_mask(self.mask, self.name)
         if mask.ndim != 2 or mask.size == 0:
             raise InputError(f"{self.name}: mask has shape {list(mask.shape)}, expected [H, W]")
         if not isinstance(self.camera, Camera):
@@ -240,6 +241,24 @@ class View:
         """How many foreground pixels lie outside the object's box."""
         left, top, right, bottom = self.pixels_of_object
         return int(self.inside.sum()) - int(self.inside[top:bottom, left:right].sum())
+
+
+def as_mask(values: Any, name: str) -> Floats:
+    """An array or tensor [H, W] or [H, W, 1], or a picture of Pillow, as float32 [H, W].
+
+    Whole numbers up to 255 are divided by 255. A picture with an alpha channel is a mask by it.
+    Raises InputError, which begins with ``name``, for what holds no numbers.
+    """
+    if hasattr(values, "getbands"):
+        values = values.getchannel("A") if "A" in values.getbands() else values
+        values = np.asarray(values)
+    mask: Floats = as_numbers(values, f"{name}: the mask", np.float32)
+    if mask.ndim == 3 and mask.shape[2] == 1:
+        mask = mask[..., 0]
+    # Labels are smaller, and are refused.
+    if 127.0 < mask.max(initial=0.0) <= 255.0 and (mask == np.rint(mask)).all():
+        mask = mask / np.float32(255.0)
+    return mask
 
 
 def object_box(inside: Bits) -> tuple[int, int, int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import pickle
 import zipfile
 from collections.abc import Callable
@@ -20,6 +21,9 @@ _PICKLED = b"\x80\x02\x8a\nl\xfc\x9cF\xf9"  # how torch.save began a file before
 _HEADER = 1 << 16  # bytes that hold the header of a .npy file
 Check = Callable[[tuple[int, ...]], None]
 """Raises InputError for the shape of an array that is too large to be read."""
+# The most that a small file may stand for. Tensors may be expanded, and lists may hold one list
+# twice.
+MOST_NUMBERS = 10_000_000
 
 
 def is_torch(data: bytes, path: Path) -> bool:
@@ -88,7 +92,13 @@ def _tensors(data: bytes, path: Path) -> dict[str, Any]:
     if not isinstance(loaded, dict):
         loaded = {"": loaded}
     try:
-        return {str(key): _numbers(value, path) for key, value in loaded.items() if _is_data(value)}
+        values = {str(key): value for key, value in loaded.items() if _is_data(value)}
+        if (count := _count([*values.values()], {})) > max(MOST_NUMBERS, 4 * len(data)):
+            raise InputError(
+                f"{path}: its {len(data):,} bytes stand for {count:.3g} numbers, expected at most "
+                f"{MOST_NUMBERS:,}; clone expanded tensors before they are stored"
+            )
+        return {key: _numbers(value, path) for key, value in values.items()}
     except InputError:
         raise
     except Exception as error:
@@ -108,12 +118,28 @@ def _is_data(value: Any) -> bool:
     return isinstance(value, (torch.Tensor, int, float, bool, list, tuple))
 
 
+def _count(value: Any, counts: dict[int, float]) -> float:
+    """How many numbers a tensor or nested lists stand for; infinite for a list in itself.
+
+    ``counts`` : those of the lists met before, by their identities.
+    """
+    import torch
+
+    if isinstance(value, torch.Tensor):
+        return value.numel()
+    if not isinstance(value, (list, tuple)):
+        return 1
+    if id(value) not in counts:
+        counts[id(value)] = math.inf
+        counts[id(value)] = sum(_count(item, counts) for item in value)
+    return counts[id(value)]
+
+
 def _numbers(value: Any, path: Path) -> Any:
     import torch
 
     if not isinstance(value, torch.Tensor):
         return np.asarray(value)
-    # A tensor may be expanded: a small file then stands for many numbers.
     require_memory(path, 16 * value.numel())
     if value.layout != torch.strided or value.is_complex() or value.is_quantized:
         raise InputError(f"{path}: holds a tensor that is sparse, complex or quantised, expected "

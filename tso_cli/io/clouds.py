@@ -99,20 +99,27 @@ class PointCloud:
         return self.source.read_faces() if self.source else self.triangles
 
 
-def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
+def read_cloud(
+    path: str | Path,
+    extended: bool = True,
+    index: int | None = None,
+    columns: tuple[int, int, int] | None = None,
+) -> PointCloud:
     """Read a point cloud, or a mesh as its vertices; ``faces()`` of the result joins them.
 
     The suffix of the file decides how it is read:
 
     - .ply : text or binary; .glb, .gltf and .obj : all meshes of the scene, at their places;
     - .off, .stl : a mesh;
-    - .npy, .npz, .pt : an array [N, 3] or [1, N, 3]; further columns are left out;
+    - .npy, .npz, .pt : an array [N, 3] or [1, N, 3], or the cloud ``index`` of [B, N, 3]; further
+      columns are left out;
     - .xyz, .txt, .csv, .pts, .pcd : a table with x, y and z;
     - points3D.txt or points3D.bin of COLMAP, or the folder of its model : with colours;
     - others : by a reader that another package registers (`plugins`).
 
     Raises InputError if the file cannot be read, holds no point, or holds a coordinate that is not
-    finite. With ``extended`` it also raises InputError if all points are equal.
+    finite. With ``extended`` it also raises InputError if all points are equal. ``columns`` are the
+    places of x, y and z in the rows of a table, from 0.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -127,6 +134,8 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
             raise InputError(
                 f"{path}: the suffix {suffix!a} is not that of a point cloud or mesh, {advice}"
             )
+    if columns is not None and (model is not None or suffix not in TABLES or suffix == ".pcd"):
+        raise InputError(f"{path}: `columns` are of a table, expected .xyz, .txt, .csv or .pts")
     data = read_bytes(model or path, "a point cloud")
     for start, suffixes in _MAGIC.items():
         misnamed = suffix in SUFFIXES and suffix not in suffixes
@@ -154,17 +163,12 @@ def read_cloud(path: str | Path, extended: bool = True) -> PointCloud:
         elif suffix in MESHES:
             mesh = read_mesh(path, textures=False)
             cloud = PointCloud(mesh.vertices, path, triangles=mesh.faces)
-        elif suffix == ".npy":
-            points, precision = point_array(read_array(data, path), path)
-            cloud = PointCloud(points, path, precision)
         elif suffix in ARRAYS:
-            from .archives import arrays_of
-
-            cloud = _of_arrays(arrays_of(data, path, check=_memory_check(path)), path)
+            cloud = _of_arrays(_arrays(data, path), path, index)
         else:
             from .point_tables import read_points
 
-            cloud = PointCloud(read_points(data, path, BYTES_PER_POINT), path)
+            cloud = PointCloud(read_points(data, path, BYTES_PER_POINT, columns), path)
     except MemoryError:
         raise InputError(f"{path}: does not fit into memory") from None
     _check(cloud.points, path, extended)
@@ -398,8 +402,28 @@ _POINTS = ("points", "xyz", "pos", "positions", "vertices", "verts", "pc", "pcd"
 _FACES = ("faces", "triangles", "tris")
 
 
-def _of_arrays(arrays: dict[str, Any], path: Path) -> PointCloud:
-    """The cloud of a .npz or .pt file: the array with a usual name, or the only one that fits."""
+def clouds_in(path: Path) -> int:
+    """How many clouds a file holds: B of an array [B, N, 3], else 1; InputError if damaged."""
+    if path.suffix.lower() not in ARRAYS:
+        return 1
+    array = _points_of(_arrays(read_bytes(path, "a point cloud"), path), path)
+    return len(array) if _holds_clouds(array) else 1
+
+
+def _holds_clouds(array: NDArray[Any]) -> bool:
+    return array.ndim == 3 and array.shape[2] == 3 and len(array) > 1
+
+
+def _arrays(data: bytes, path: Path) -> dict[str, Any]:
+    if path.suffix.lower() == ".npy":
+        return {"": read_array(data, path)}
+    from .archives import arrays_of
+
+    return arrays_of(data, path, check=_memory_check(path))
+
+
+def _points_of(arrays: dict[str, Any], path: Path) -> NDArray[Any]:
+    """The array with a usual name, or the only one that fits."""
     named = [name for name in _POINTS if name in arrays]
     fitting = [name for name, array in arrays.items() if np.shape(array)[-1:] == (3,)]
     names = named[:1] or (fitting if len(fitting) == 1 else [])
@@ -408,7 +432,11 @@ def _of_arrays(arrays: dict[str, Any], path: Path) -> PointCloud:
         raise InputError(
             f"{path}: holds {shapes or 'no array'}, expected an array called points [N, 3]"
         )
-    points, precision = point_array(np.asarray(arrays[names[0]]), path)
+    return np.asarray(arrays[names[0]])
+
+
+def _of_arrays(arrays: dict[str, Any], path: Path, index: int | None) -> PointCloud:
+    points, precision = point_array(_points_of(arrays, path), path, index)
     faces = next((arrays[name] for name in _FACES if name in arrays), None)
     if faces is not None:
         whole = np.asarray(faces)
@@ -418,16 +446,19 @@ def _of_arrays(arrays: dict[str, Any], path: Path) -> PointCloud:
     return PointCloud(points, path, precision, triangles=faces)
 
 
-def point_array(array: NDArray[Any], path: Path) -> tuple[Array, str]:
+def point_array(array: NDArray[Any], path: Path, index: int | None = None) -> tuple[Array, str]:
     """Points [N, 3] of an array [N, 3 or more] or [1, N, 3 or more], and the precision.
 
-    Raises InputError for another shape; several clouds [B, N, 3] are named as what they are.
+    ``index`` chooses one of several clouds [B, N, 3]. Raises InputError for another shape, or
+    another index.
     """
-    if array.ndim == 3 and array.shape[2] == 3 and len(array) > 1:
-        raise InputError(
-            f"{path}: holds {len(array)} clouds of {array.shape[1]} points, expected one [N, 3]; "
-            "store one of them: numpy.save(FILE, array[0])"
-        )
+    if _holds_clouds(array):
+        if index is None or not 0 <= index < len(array):
+            raise InputError(
+                f"{path}: holds {len(array)} clouds of {array.shape[1]} points, expected one "
+                f"[N, 3]; choose one of them: `cloud_index` 0 to {len(array) - 1} of tso refine"
+            )
+        array = array[index]
     cloud = array[0] if array.ndim == 3 and len(array) == 1 else array
     fits = cloud.ndim == 2 and 3 <= cloud.shape[1] <= MOST_COLUMNS and cloud.dtype.kind in "fiu"
     if not fits:

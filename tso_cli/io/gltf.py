@@ -137,14 +137,12 @@ class GltfFile(Checked, MovableFile):
         self._attributes: set[str] = set()  # of all primitives
         with reading(self, WHOLE_SCENE):
             self._refuse_compression()
-            require_memory(path, memory_of(self, self._document))
-            self._buffers = []
-            for number, buffer in enumerate(objects_of(self, self._document, "buffers")):
-                self.place = f"buffers[{number}]."
-                self._buffers.append(self._buffer(buffer, binary))
-            self.place = ""
+            self._buffers = self._read_buffers(binary)
+            stored_bytes = sum(map(len, self._buffers))
+            require_memory(path, memory_of(self, self._document, stored_bytes))
             self._accessors = objects_of(self, self._document, "accessors")
             self._views = objects_of(self, self._document, "bufferViews")
+            self._fill_sparse()
             self._collect()
         if not self._parts:
             raise InputError(f"{path}: holds no mesh, expected a scene with one")
@@ -163,10 +161,24 @@ class GltfFile(Checked, MovableFile):
                         "not know, expected a scene without it; export it without this extension"
                     )
 
-    def _buffer(self, buffer: dict[str, Any], binary: bytes) -> bytes:
-        uri = buffer.get("uri")
-        if uri is None:
-            return binary
+    def _read_buffers(self, binary: bytes) -> list[bytes]:
+        """The bytes of all buffers; ``binary`` is of the first one that names no other place."""
+        buffers: list[bytes] = []
+        uris: set[str] = set()
+        for number, buffer in enumerate(objects_of(self, self._document, "buffers")):
+            self.place = f"buffers[{number}]."
+            if (uri := buffer.get("uri")) is None:
+                buffers.append(binary)
+                binary = b""
+            elif uri in uris:
+                raise self.error("uri", plain(uri), "a file or data of its own for each buffer")
+            else:
+                uris.add(uri)
+                buffers.append(self._buffer(uri))
+        self.place = ""
+        return buffers
+
+    def _buffer(self, uri: str) -> bytes:
         if uri[: len(_DATA)].lower() == _DATA:
             return base64.b64decode(uri.partition(",")[2], validate=True)
         name = unquote(uri)
@@ -179,11 +191,44 @@ class GltfFile(Checked, MovableFile):
             self.path.parent / Path(*parts), f"the buffer that {self.path.name} names"
         )
 
+    def _fill_sparse(self) -> None:
+        """Store the values of sparse accessors whole, each in a buffer of its own."""
+        sparse = [number for number, a in enumerate(self._accessors) if "sparse" in a]
+        for number in sparse:
+            self.place, accessor = f"accessors[{number}].", self._accessors[number]
+            few, form = accessor.pop("sparse"), accessor["type"]
+            dtype = np.dtype(COMPONENTS[accessor["componentType"]])
+            values = np.zeros((whole(accessor["count"]), WIDTHS[form]), dtype)
+            if "bufferView" in accessor:
+                values[:] = self._values(number, (form,))
+            places, new = (
+                self._of_layout(self._layout_of({**few[key], **common}, (common["type"],)))
+                for key, common in (
+                    ("indices", {"count": few["count"], "type": "SCALAR"}),
+                    (
+                        "values",
+                        {**accessor, "count": few["count"], "byteOffset": 0, **few["values"]},
+                    ),
+                )
+            )
+            values[places[:, 0]] = new
+            data = values.tobytes()
+            inline = f"{_DATA}application/octet-stream;base64,{base64.b64encode(data).decode()}"
+            length = {"byteLength": len(data)}
+            self._document["buffers"].append({"uri": inline, **length})
+            self._views.append({"buffer": len(self._buffers), **length})
+            self._buffers.append(data)
+            accessor |= {"bufferView": len(self._views) - 1, "byteOffset": 0}
+        if sparse:
+            self._text = json.dumps(self._document)
+        self.place = ""
+
     def _collect(self) -> None:
         nodes = objects_of(self, self._document, "nodes")
         meshes = objects_of(self, self._document, "meshes")
         places = places_of(self, nodes)
-        part_of: dict[tuple[int, int], _Part] = {}
+        # Nodes that stand alike show the same vertices.
+        part_of: dict[tuple[bytes, int], _Part] = {}
         total = 0
         for number in self._shown(nodes):
             self.place = f"nodes[{number}]."
@@ -199,7 +244,7 @@ class GltfFile(Checked, MovableFile):
             self.place = f"meshes[{index}]."
             for primitive in objects_of(self, mesh, "primitives"):
                 attributes = primitive["attributes"]
-                key = number, attributes["POSITION"]
+                key = places[number].tobytes(), attributes["POSITION"]
                 self._attributes |= attributes.keys()
                 for name in ("NORMAL", "TANGENT"):
                     if name in attributes:
@@ -272,7 +317,14 @@ class GltfFile(Checked, MovableFile):
         buffers: Sequence[bytes | bytearray] | None = None,
     ) -> NDArray[Any]:
         """The values [N, C] of an accessor, a view into the file's buffer or one of ``buffers``."""
-        buffer, offset, dtype, count, width, stride = self._layout(accessor, types)
+        return self._of_layout(self._layout(accessor, types), buffers)
+
+    def _of_layout(
+        self,
+        layout: tuple[int, int, np.dtype[Any], int, int, int],
+        buffers: Sequence[bytes | bytearray] | None = None,
+    ) -> NDArray[Any]:
+        buffer, offset, dtype, count, width, stride = layout
         data = (self._buffers if buffers is None else buffers)[buffer]
         return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
 
@@ -290,8 +342,6 @@ class GltfFile(Checked, MovableFile):
     def _layout_of(
         self, accessor: dict[str, Any], types: tuple[str, ...]
     ) -> tuple[int, int, np.dtype[Any], int, int, int]:
-        if "sparse" in accessor:
-            raise self.error("sparse", "there", "values without sparse storage; export it again")
         form, component = accessor["type"], accessor["componentType"]
         if form not in types:
             raise self.error("type", plain(str(form)), " or ".join(types))

@@ -25,6 +25,8 @@ COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 512
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # What a reader takes of a node's own copy of a mesh, in bytes.
 _BYTES_PER_VERTEX, _BYTES_PER_CORNER = 100, 60
+# The most that all copies may take. A scene without copies takes under 64 for each of its bytes.
+_MOST_OF_COPIES, _MOST_PER_BYTE = 1 << 30, 64
 _GLOSS = "KHR_materials_pbrSpecularGlossiness"
 
 
@@ -77,19 +79,18 @@ def entry(values: Sequence[T], index: Any) -> T:
 
 
 def whole(value: Any) -> int:
-    """``value`` if it is a whole number, 0 or more; a ValueError otherwise."""
-    if type(value) is not int or value < 0:
-        raise ValueError(f"{kind(value)} where a whole number belongs, 0 or more")
+    """``value`` if it is a whole number, 0 or more, of a file; a ValueError otherwise."""
+    if type(value) is not int or not 0 <= value < 1 << 48:
+        raise ValueError(f"{kind(value)} where a whole number belongs, 0 or more, under 2^48")
     return value
 
 
-def memory_of(checked: Checked, document: dict[str, Any]) -> int:
+def memory_of(checked: Checked, document: dict[str, Any], stored_bytes: int) -> int:
     """About how many bytes the meshes of a scene take; each node has its own copy.
 
     A few bytes of a file can stand for many: an accessor need not hold its values, and many nodes
-    can show one mesh.
+    can show one mesh. Raises InputError if the ``stored_bytes`` of the buffers stand for too many.
     """
-
     counts, stored = [], 0
     for number, accessor in enumerate(document.get("accessors", [])):
         checked.place = f"accessors[{number}]."
@@ -109,6 +110,11 @@ def memory_of(checked: Checked, document: dict[str, Any]) -> int:
         checked.place = f"nodes[{number}]."
         stored += entry(meshes, node["mesh"]) if "mesh" in node else 0
     checked.place = ""
+    if stored > (most := max(_MOST_OF_COPIES, _MOST_PER_BYTE * stored_bytes)):
+        raise InputError(
+            f"{checked.path}: its accessors, nodes and primitives stand for about "
+            f"{stored / 2**30:.3g} GiB, expected at most {most / 2**30:.3g} for its size"
+        )
     return stored
 
 
@@ -143,16 +149,17 @@ def places_of(checked: Checked, nodes: list[dict[str, Any]]) -> list[Array]:
     for number, node in enumerate(nodes):
         checked.place = f"nodes[{number}]."
         for child in node.get("children", []):
-            if child not in range(len(nodes)) or child in parent:
+            if type(child) is not int or not 0 <= child < len(nodes) or child in parent:
                 raise checked.error("children", kind(child), "other nodes, once")
             parent[child] = number
     checked.place = ""
     local = [_local(checked, number, node) for number, node in enumerate(nodes)]
     places: dict[int, Array] = {}
     for number in range(len(nodes)):
-        chain, at = [], number
+        chain: dict[int, None] = {}  # in this order
+        at = number
         while at not in places:
-            chain.append(at)
+            chain[at] = None
             if at not in parent:
                 break
             at = parent[at]
@@ -174,10 +181,11 @@ def _local(checked: Checked, number: int, node: dict[str, Any]) -> Array:
     if "matrix" in node:
         return checked.matrix(f"{where}.matrix", node["matrix"], (16,)).reshape(4, 4).T
     matrix = np.eye(4)
-    x, y, z, w = checked.matrix(
-        f"{where}.rotation", node.get("rotation", [0, 0, 0, 1]), (4,)
-    ).tolist()
-    matrix[:3, :3] = from_quaternion(w, x, y, z)
-    matrix[:3, :3] *= checked.matrix(f"{where}.scale", node.get("scale", [1, 1, 1]), (3,))
-    matrix[:3, 3] = checked.matrix(f"{where}.translation", node.get("translation", [0, 0, 0]), (3,))
+    if "rotation" in node:
+        x, y, z, w = checked.matrix(f"{where}.rotation", node["rotation"], (4,)).tolist()
+        matrix[:3, :3] = from_quaternion(w, x, y, z)
+    if "scale" in node:
+        matrix[:3, :3] *= checked.matrix(f"{where}.scale", node["scale"], (3,))
+    if "translation" in node:
+        matrix[:3, 3] = checked.matrix(f"{where}.translation", node["translation"], (3,))
     return matrix

@@ -1,4 +1,4 @@
-"""Pictures and depth maps: files in, arrays out; writes PNG. `masks` reads masks.
+"""Pictures: files in, arrays out; writes PNG. `masks` reads masks, `depth_maps` depth maps.
 
 A picture that the camera marked as rotated is turned upright, unless the stored raster is asked
 for.
@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..geometry.arrays import Array, Floats, Pixels
-from ..geometry.view import LARGEST_DEPTH
+from ..geometry.arrays import Floats, Pixels
 from .output import atomic_output, check_output, reason
-from .reading import is_there, read_array, read_bytes, require_memory
+from .reading import is_there, read_bytes, require_memory
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -34,51 +33,13 @@ FILE_LIMIT = 1 << 31
 _stderr_lock = threading.Lock()
 Known = TypeVar("Known")
 Convert = Callable[["Image.Image", Path], NDArray[Any]]
+_OPENEXR = b"\x76\x2f\x31\x01"  # how such a file begins
 WITH_ALPHA = ("RGBA", "LA", "PA", "RGBa", "La")
 _ORIENTATION, _EXIF, _FOCAL_35MM = 0x0112, 0x8769, 0xA405
 # Of a picture on 35 mm film, in mm; EXIF compares diagonals.
 DIAGONAL_OF_FILM = 43.27
 # A focal length of more diagonals, or of less than one over that, is a wrong entry.
 MOST_SHARE = 50.0
-
-
-def read_depth(path: Path, scale: float = 1.0, upright: bool = True, signed: bool = False) -> Array:
-    """Read a depth map [H, W] from a picture of one grey channel or a .npy file.
-
-    The values of the file times ``scale`` are in units of the camera. 0, NaN and infinity mean
-    unknown and become NaN. Raises InputError if the file is not such a map, or if a depth is
-    negative and not ``signed``.
-    """
-    data = read_bytes(path, "a depth map", FILE_LIMIT)
-    if path.suffix.lower() == ".npy":
-        values = read_array(data, path)
-        if values.ndim != 2 or values.dtype.kind not in "fiu" or 0 in values.shape:
-            raise InputError(
-                f"{path}: holds {values.dtype} {list(values.shape)}, expected a depth map [H, W]"
-            )
-        check_size(values.shape[1], values.shape[0], path)
-    else:
-        values = decoded(data, path, "a depth map", _depth_values, upright)
-    with np.errstate(invalid="ignore"):  # signalling NaN
-        depth = values.astype(np.float64)
-    depth[~np.isfinite(depth) | (depth == 0.0)] = np.nan
-    least = np.nanmin(depth, initial=np.inf)
-    if least < 0.0 and not signed:
-        raise InputError(
-            f"{path}: its smallest depth is {least:g}, expected 0 (unknown) or more, or another "
-            "`depth_kind`"
-        )
-    if least == np.inf:
-        raise InputError(f"{path}: holds no depth > 0, expected some (0 means unknown)")
-    largest = float(np.nanmax(np.abs(depth))) * scale
-    if not 1.0 / LARGEST_DEPTH <= largest <= LARGEST_DEPTH:
-        expected = (
-            f"at least {1.0 / LARGEST_DEPTH:g}" if largest < 1.0 else f"at most {LARGEST_DEPTH:g}"
-        )
-        raise InputError(
-            f"{path}: its largest depth, times {scale:g}, is {largest:g}, expected {expected}"
-        )
-    return depth * scale
 
 
 def read_image(path: str | Path, upright: bool = True) -> Pixels:
@@ -118,6 +79,12 @@ def focal_length_of_exif(path: Path) -> float | None:
     except (TypeError, ValueError):
         return None
     return share if MOST_SHARE > share > 1.0 / MOST_SHARE else None
+
+
+def size_of_picture(path: Path) -> tuple[int, int] | None:
+    """Width and height of a picture that is turned upright; None for other files."""
+    size = _of_header(path, lambda image: image.size, None)
+    return (size[1], size[0]) if size and orientation(path) >= 5 else size
 
 
 def has_alpha(path: Path) -> bool:
@@ -219,6 +186,11 @@ def decoded(
     except InputError:
         raise
     except Image.UnidentifiedImageError:
+        if data.startswith(_OPENEXR):
+            raise InputError(
+                f"{path}: is an OpenEXR file, which tso does not read, expected {what}; convert it "
+                "with OpenCV or imageio, and store the array: numpy.save('NAME.npy', array)"
+            ) from None
         raise InputError(
             f"{path}: is not a readable image, expected {what} ({', '.join(FORMATS)})"
         ) from None
@@ -236,15 +208,6 @@ def decoded(
             text = reason(RuntimeError(warning.message))
             warnings.warn(f"{path}: {text}", stacklevel=4)
     return array
-
-
-def _depth_values(image: Image.Image, path: Path) -> NDArray[Any]:
-    if image.mode not in ("L", "I", "F") and not image.mode.startswith("I;16"):
-        raise InputError(
-            f"{path}: is a picture of mode {image.mode}, "
-            "expected a depth map of one grey channel, 16 bits"
-        )
-    return np.asarray(image)
 
 
 def to_unit(array: NDArray[Any], path: Path) -> Floats:

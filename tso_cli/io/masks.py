@@ -1,4 +1,4 @@
-"""Masks [H, W] in [0, 1] of pictures, label images, arrays of segmenters and COCO."""
+"""Masks [H, W] in [0, 1] of pictures, label images, arrays of segmenters and annotations."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..geometry.arrays import Bits, Floats
 from ..geometry.view import is_grey_inside
+from .annotations import MOST_LISTED, read_annotation
+from .annotations import SUFFIXES as ANNOTATIONS
 from .archives import Check, arrays_of
-from .coco import MOST_LISTED, read_coco
 from .images import FILE_LIMIT, WITH_ALPHA, check_size, decoded, grey_values, to_unit
 from .reading import plain, read_array, read_bytes
 
@@ -28,6 +29,8 @@ MOST_VALUES = 64
 # A label is a value with areas of its own: at least this share of its pixels has four neighbours
 # of the same value. The soft edge of a mask has hardly any such pixels.
 SOLID = 0.3
+# In a palette of labels: pixels along the outlines that nobody labelled, as VOC has them.
+BORDER = 255
 # Formats whose losses change the values of labels.
 LOSSY = ("JPEG", "WEBP")
 # Files of a folder that are taken for masks; a .json there may be a camera file.
@@ -48,7 +51,7 @@ MOST_MASKS = 64
 class MaskChoice:
     """Which object of a file with several is meant.
 
-    label : the value in an image of labels; a colour as "R,G,B".
+    label : the value in an image of labels; a colour as "R,G,B"; in an annotation a name.
     index : the place in an array of masks, or in a list of segmentations, from 0.
     """
 
@@ -56,10 +59,17 @@ class MaskChoice:
     index: int | None = None
 
 
-def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool = True) -> Floats:
+def read_mask(
+    path: str | Path,
+    choice: MaskChoice = MaskChoice(),
+    upright: bool = True,
+    size: tuple[int, int] | None = None,
+    known: bool = False,
+) -> Floats:
     """Read a mask [H, W] in [0, 1]; inside is 1, soft values stay.
 
-    The values of a picture are, in this order:
+    With ``known`` a pixel that the file calls unknown is NaN, else 0: the border (255) in a palette
+    of labels, as VOC has it. The values of a picture are, in this order:
 
     1. its alpha channel, if at least 0.1 % of it is transparent;
     2. in an image of labels (a palette, or few values with areas of their own), 1 at the one label,
@@ -67,8 +77,9 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
     3. its brightness (of a colour the largest channel).
 
     Integers are divided by the largest value of their type. An array is [H, W], or one of several
-    [N, H, W] or [N, 1, H, W] in a .npy, .npz or .pt file; values below 0 are logits. A JSON file
-    holds run lengths or polygons of COCO. ``upright`` is as in `read_image`.
+    [N, H, W] or [N, 1, H, W] in a .npy, .npz or .pt file; values below 0 are logits. A .json, .xml
+    or .txt file is an annotation (`annotations`); ``size`` is the width and height of its picture,
+    if nothing else says them. ``upright`` is as in `read_image`.
 
     Raises InputError if the file is not a readable mask, has over 100 megapixels, has values
     outside [0, 1], or holds several masks and none is chosen.
@@ -80,16 +91,14 @@ def read_mask(path: str | Path, choice: MaskChoice = MaskChoice(), upright: bool
         return _of_array({"": read_array(data, path)}, path, choice)
     if suffix in (".npz", ".pt"):
         return _of_array(arrays_of(data, path, check=_size_check(path)), path, choice)
-    if suffix == ".json":
-        if choice.label is not None:
-            raise InputError(
-                f"{path}: holds segmentations, `label` {plain(choice.label)} chooses one of an "
-                "image of labels; choose one: `mask_index` N"
-            )
-        return read_coco(data, path, choice.index)
+    if suffix in ANNOTATIONS:
+        return read_annotation(data, path, choice.label, choice.index, size)
     _refuse_index(path, choice)
     convert = functools.partial(_values, label=choice.label)
-    return to_unit(decoded(data, path, "a mask image", convert, upright), path)
+    values = decoded(data, path, "a mask image", convert, upright)
+    if values.dtype == np.int8:  # 1 inside, 0 outside, -1 unknown
+        return np.where(values < 0, np.float32(np.nan if known else 0.0), values)
+    return to_unit(values, path)
 
 
 def masks_in(path: Path) -> list[Path]:
@@ -137,7 +146,7 @@ def _refuse_index(path: Path, choice: MaskChoice) -> None:
 
 
 def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
-    """The values of `read_mask` [H, W]: bool, uint8, uint16 or float."""
+    """The values of `read_mask` [H, W]: bool, uint8, uint16 or float; int8 where -1 is unknown."""
     alpha = _alpha(image) if label is None else None
     if alpha is not None:
         return alpha
@@ -153,6 +162,12 @@ def _values(image: Image.Image, path: Path, label: str | None) -> NDArray[Any]:
     picture = _picture_of(image, path)
     if picture.codes.dtype.kind in "bf":
         return picture.codes
+    if image.mode == "P" and picture.brightness.dtype == bool and label != str(BORDER):
+        border = picture.codes == BORDER
+        labels = np.where(border, np.uint8(0), picture.codes)
+        if border.any() and labels_of(labels):
+            pixels = _label_of(labels, labels != 0, path, label)
+            return np.where(border, -1, labels != 0 if pixels is None else pixels).astype(np.int8)
     pixels = _label_of(picture.codes, picture.brightness, path, label, picture.colours)
     if pixels is not None:
         return pixels
@@ -370,7 +385,11 @@ def _of_array(arrays: dict[str, Any], path: Path, choice: MaskChoice) -> Floats:
         array = array[..., 0]
     # A last side of 3 or 4 is that of colours.
     stack = array.ndim == 3 and array.shape[0] <= MOST_MASKS and array.shape[2] > 4
-    if (stack or array.ndim == 3 and array.shape[0] == 1) and array.dtype.kind in "bfiu":
+    if (
+        array.size
+        and (stack or array.ndim == 3 and array.shape[0] == 1)
+        and array.dtype.kind in "bfiu"
+    ):
         scores = [np.ravel(arrays[name]) for name in SCORE_NAMES if name in arrays]
         array = _one_of(array, path, choice, scores[0] if scores else np.empty(0))
     else:

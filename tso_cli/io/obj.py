@@ -259,16 +259,20 @@ class ObjFile(MovableFile):
     ) -> tuple[Indices, Indices, NDArray[Any]]:
         """Where numbers change, and their new text.
 
-        It has the digits of a float32 if the old text has no more.
+        It has the digits of a float32 if the old text has no more, and every number has a float32.
         """
-        single = old.astype(np.float32)
-        if np.array_equal(single.astype("S32").astype(np.float64), old) or _few_digits(
-            self.data, spans
-        ):
-            rounded: NDArray[Any] = new.astype(np.float32)
-            changed = rounded != single
-        else:
-            rounded, changed = new, new != old
+        single: NDArray[Any]
+        rounded: NDArray[Any]
+        with np.errstate(over="ignore"):
+            single, rounded = old.astype(np.float32), new.astype(np.float32)
+        fits = all(
+            np.array_equal(np.isfinite(short), np.isfinite(long))
+            for short, long in ((single, old), (rounded, new))
+        )
+        of_single = np.array_equal(single.astype("S32").astype(np.float64), old)
+        if not (fits and (of_single or _few_digits(self.data, spans))):
+            single, rounded = old, new
+        changed = rounded != single
         return spans[changed][:, 0], spans[changed][:, 1], rounded[changed].astype("S32")
 
 

@@ -39,7 +39,8 @@ def check_output(path: Path, overwrite: bool) -> None:
             raise InputError(f"{path}: {folder} is not a folder, expected one to write to")
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: is not a regular file, expected the name of a file to write")
-        if path.exists() and not overwrite:
+        # A link that leads nowhere yet would make a file elsewhere.
+        if os.path.lexists(path) and not overwrite:
             raise InputError(f"{path}: exists already, expected a new name or `overwrite`")
         if not os.access(folder, os.W_OK | os.X_OK):
             raise InputError(f"{path}: the folder {folder} is not writable")
@@ -80,6 +81,8 @@ def atomic_output(path: Path, overwrite: bool = True) -> Iterator[Path]:
     Raises InputError if writing failed or, without ``overwrite``, if ``path`` exists by then.
     """
     try:
+        if not overwrite and path.is_symlink():
+            raise InputError(f"{path}: exists already, expected a new name or `overwrite`")
         target = Path(os.path.realpath(path))
         temporary, lock = _new_temporary(target)
     except (OSError, ValueError) as error:

@@ -33,6 +33,12 @@ def readers() -> dict[str, Callable[[], Any]]:
     return {f".{name.lower().lstrip('.')}": load for name, load in registered(CLOUDS).items()}
 
 
+def camera_reader(load: Callable[[], Any]) -> Any:
+    """The reader that an entry point of cameras names: an object, or a class that makes it."""
+    reader = load()
+    return reader() if isinstance(reader, type) else reader
+
+
 @contextmanager
 def guarded(path: Path, what: str, expected: str) -> Iterator[None]:
     """Whatever the code of another package raises becomes an InputError."""

@@ -11,6 +11,7 @@ import struct
 import warnings
 from array import array
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,13 +28,20 @@ AXES = ("x", "y", "z")
 _NAMES = ("{0}", "point_{0}", "pos_{0}", "points:{1}", "points_{1}")
 _SEPARATORS = ("\t", ";", ",")  # of a .csv file without blanks between its values
 LONGEST_LINE = 1 << 20  # characters
+_FIRST_ROWS = 1000  # which say what the columns after the first three hold
 _COLMAP_POINT = struct.Struct("<3d")  # x, y and z
 _FIRST_LINES = 10  # of a .csv file, which say what separates its values
 _PCD_KINDS = {"F": "f", "I": "i", "U": "u"}
+Columns = tuple[int, int, int]
 
 
-def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
-    """The points [N, 3] of a table; InputError if it is damaged or has no x, y and z."""
+def read_points(
+    data: bytes, path: Path, bytes_per_point: int, columns: Columns | None = None
+) -> Array:
+    """The points [N, 3] of a table; InputError if it is damaged or has no x, y and z.
+
+    ``columns`` : the places of x, y and z in a row, from 0 (None: by their names, or the first).
+    """
     suffix = path.suffix.lower()
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise InputError(f"{path}: is UTF-16 text, expected UTF-8; save it as CSV UTF-8")
@@ -41,26 +49,62 @@ def read_points(data: bytes, path: Path, bytes_per_point: int) -> Array:
         return _of_pcd(data, path, bytes_per_point)
     data = data.removeprefix(codecs.BOM_UTF8)
     _refuse_long_lines(data, path)
-    if suffix == ".csv":
+    if suffix == ".csv" or (suffix != ".pts" and _is_like_csv(data)):
         require_memory(path, bytes_per_point * data.count(b"\n"))
-        return _of_csv(data, path)
+        return _of_csv(data, path, columns)
     # A line of numbers takes at most 800 bytes while it is read.
     require_memory(path, 800 * data.count(b"\n"))
     table = TextTable(data, path)
     table.drop_comments()
     stated_count = -1
-    if suffix == ".pts" and len(table.counts) > 1 and table.counts[0] == 1:
-        # The first line of a .pts file is the number of points.
+    if len(table.counts) > 1 and table.counts[0] == 1:
+        # The first line of a .pts file, and of some others, is the number of points.
         stated_count = table.values(table.first[:1])[0]
         table.first, table.counts = table.first[1:], table.counts[1:]
         table.numbers = table.numbers[1:]
-    _require_columns(table, 3, ", separated by blanks")
+    _require_columns(table, 1 + max(columns or (2,)), ", separated by blanks")
     if stated_count >= 0:
         _check_count(path, len(table.first), stated_count, "its first line")
-    points = table.values(table.first[:, None] + np.arange(3))
-    if table.counts.max(initial=3) > 3 and suffix != ".pts":
+    points = table.values(table.first[:, None] + np.array(columns or (0, 1, 2)))
+    if columns is None and table.counts.size and table.counts.min() > 3:
+        more = table.first[:_FIRST_ROWS, None] + np.arange(3, min(table.counts.min(), 6))
+        try:
+            values = table.values(more)
+        except InputError:
+            values = np.empty((0, 0))  # of columns with words
+        _refuse_others(points, values, path)
+    if columns is None and table.counts.max(initial=3) > 3 and suffix != ".pts":
         warn_of_columns(path)
     return points
+
+
+def _is_like_csv(data: bytes) -> bool:
+    """Whether commas or semicolons separate the values of a table, or names stand above them."""
+    first = data[:4096].strip().partition(b"\n")[0]
+    words = [word.strip(b"\"'/#").lower() for word in re.split(rb"[\s,;]+", first)]
+    return _separator(data) in ",;" or any(f.format("x", 0).encode() in words for f in _NAMES)
+
+
+def _refuse_others(points: Array, more: Array, path: Path) -> None:
+    """Raise InputError if the first columns hold numbers of lines, or colours, before x, y and z.
+
+    ``points`` [N, 3] : these columns. ``more`` [M, C] : the next ones, of the first rows.
+    """
+    lines, whole = points[:, 0], (points == np.rint(points)).all()
+    steps = np.diff(lines)
+    counts = len(lines) > 3 and bool((lines == np.rint(lines)).all()) and steps[0] != 0.0
+    if counts and (steps == steps[0]).all():
+        what, places = "its first column counts its lines", "2,3,4"
+    elif more.shape[1:] == (3,) and whole and (points >= 0.0).all() and (points <= 255.0).all():
+        if (more == np.rint(more)).all():
+            return  # coordinates of voxels
+        what, places = "its first three columns are whole numbers up to 255, as of colours", "4,5,6"
+    else:
+        return
+    raise InputError(
+        f"{path}: {what}, expected x, y and z first; tso convert writes other columns: `columns` "
+        f"{places}"
+    )
 
 
 def read_colmap(data: bytes, path: Path, bytes_per_point: int) -> tuple[Array, Array]:
@@ -112,9 +156,7 @@ def _require_columns(table: TextTable, least: int, words: str) -> None:
     """Raise InputError at a line with fewer columns; ``words`` say more of them."""
     if (short := table.counts < least).any():
         row = int(short.argmax())
-        count, start = table.counts[row], table.starts[table.first[row]]
-        commas = table.data[start : start + 200].splitlines()[0].count(b",") > 1
-        words += "; rename it to .csv, for commas" if commas else ""
+        count = table.counts[row]
         has = f"line {table.numbers[row]} has {count} column{'s' if count > 1 else ''}"
         raise InputError(f"{table.path}: {has}, expected at least {least}{words}")
 
@@ -141,8 +183,9 @@ def _check_count(path: Path, count: int, stated_count: float, where: str) -> Non
         )
 
 
-def _of_csv(data: bytes, path: Path) -> Array:
+def _of_csv(data: bytes, path: Path, chosen: Columns | None) -> Array:
     """The points of a .csv file: the columns called x, y and z, or the first three."""
+    begun: list[list[str]] = []  # the rows of a file without names
     separator = _separator(data)
     if separator in "\t;":
         data = data.replace(b",", b".")  # commas are decimal where they do not separate
@@ -152,11 +195,13 @@ def _of_csv(data: bytes, path: Path) -> Array:
     number = float if data.isascii() and b"_" not in data else _number
     values = array("d")
     try:
-        columns, first, named = _header(rows, path)
+        columns, first, named = _header(rows, path, chosen)
         begin, middle, end = columns
         for row in itertools.chain(first, rows):
             if not row or row[0].startswith("#"):
                 continue
+            if chosen is None and named == LONGEST_LINE and len(begun) < _FIRST_ROWS:
+                begun.append(row[3:6])
             if len(row) > named and any(row[named:]):
                 raise InputError(
                     f"{path}: line {rows.line_num} has {len(row)} values, its header {named}, "
@@ -172,7 +217,12 @@ def _of_csv(data: bytes, path: Path) -> Array:
             f"{path}: line {rows.line_num} is no row of a .csv file ({reason(error)}), expected "
             "values and separators, and quotes in pairs"
         ) from None
-    return np.array(values).reshape(-1, 3)
+    points = np.array(values).reshape(-1, 3)
+    with suppress(ValueError):  # of columns with words, or of rows of several lengths
+        more = np.array([row for row in begun if row], dtype=np.float64)
+        if more.ndim == 2:
+            _refuse_others(points, more, path)
+    return points
 
 
 def _separator(data: bytes) -> str:
@@ -184,9 +234,15 @@ def _separator(data: bytes) -> str:
     return next((s for s in _SEPARATORS if all(s.encode() in line for line in lines)), " ")
 
 
-def _header(rows: Iterator[list[str]], path: Path) -> _Header:
-    """The columns of a .csv file, by the names in its header or else the first three."""
+def _header(rows: Iterator[list[str]], path: Path, chosen: Columns | None) -> _Header:
+    """The columns of a .csv file: those ``chosen``, by the names in its header, or the first three.
+
+    A row with a word in place of a chosen number is a header.
+    """
     for row in rows:
+        if chosen is not None:
+            wordy = re.search(r"[a-df-z]", " ".join(row[i] for i in chosen if i < len(row)).lower())
+            return _Header(chosen, [] if wordy else [row], LONGEST_LINE)
         names = [cell.strip(" \"'/#").lower() for cell in row]
         for form in _NAMES:
             axis_names = [form.format(axis, place) for place, axis in enumerate(AXES)]

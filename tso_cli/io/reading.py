@@ -238,6 +238,8 @@ def digest_of(path: Path) -> str:
     digest = hashlib.sha256()
     try:
         if not path.is_dir():
+            if path.exists() and not path.is_file():
+                raise InputError(f"{path}: is not a regular file, expected one")
             with path.open("rb") as stream:
                 while block := stream.read(1 << 20):
                     digest.update(block)

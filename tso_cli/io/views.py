@@ -30,7 +30,8 @@ from .cameras import (
     read_partial_cameras,
     same_shape,
 )
-from .images import focal_length_of_exif, orientation, read_depth, read_image, resized
+from .depth_maps import at_size, confidence_of, read_depth
+from .images import focal_length_of_exif, orientation, read_image, resized
 from .masks import MaskChoice, read_mask
 
 NO_FILE = "(no camera file was given or found next to the mask)"
@@ -308,12 +309,15 @@ def _read_view(
         return camera is None or camera.size is None or same_shape(camera.size, size)
 
     def read(upright: bool) -> NDArray[Any]:
-        return read_mask(mask_file, files.choice, upright)
+        size = camera.size if camera else None
+        return read_mask(mask_file, files.choice, upright, size, known=True)
 
     stored = camera is not None
     mask, notes = _raster(mask_file, read, of_camera, stored)
     height, width = mask.shape
-    counted = None
+    unknown = np.isnan(mask)
+    counted = ~unknown if unknown.any() else None
+    mask = np.where(unknown, np.float32(0.0), mask)
     if ignore_file is not None:
         ignored, more = _raster(
             ignore_file,
@@ -321,9 +325,9 @@ def _read_view(
             lambda size: size == (width, height),
             stored,
         )
-        counted = ignored <= 0.5
         notes += more
-        require_same_size(ignore_file, counted.shape, mask_file, mask.shape)
+        require_same_size(ignore_file, ignored.shape, mask_file, mask.shape)
+        counted = (ignored <= 0.5) & ~unknown
     if camera is None or origin.file is None:
         full = Camera.canonical(width, height)
     else:
@@ -370,13 +374,20 @@ def with_depth_and_images(
         shape = view.mask.shape
 
         def of_mask(size: tuple[int, int], shape: tuple[int, ...] = shape) -> bool:
-            return size[::-1] == shape
+            return same_shape(size, (shape[1], shape[0]))
 
         if depth_file is not None:
             signed = files.depth_kind in FITTED
             read = partial(read_depth, depth_file, files.depth_scale, signed=signed)
             depth, more = _raster(depth_file, read, of_mask, as_stored)
-            require_same_size(depth_file, depth.shape, view.name, shape)
+            size = (depth.shape[1], depth.shape[0])
+            if not of_mask(size):
+                require_same_size(depth_file, depth.shape, view.name, shape)
+            if depth.shape != shape:
+                depth = at_size(depth, shape[1], shape[0])
+                more.append(f"{depth_file.name} scaled from {size[0]}x{size[1]}")
+            if confidence := confidence_of(depth_file):
+                more.append(f"{depth_file.name} without the low confidence of {confidence}")
             view = replace(view, depth=depth, depth_kind=files.depth_kind)
             notes += more
         if image_file is not None:

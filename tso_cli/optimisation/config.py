@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from ..errors import InputError
 from ..io.shipped import LEARNED, NO_PRIOR
@@ -145,3 +147,15 @@ class Settings(RefineConfig):
     def smooth(self) -> bool:
         """Whether the default preset moves points."""
         return self.preset == "best" and self.mode == "points"
+
+
+def config_of(config: RefineConfig | Mapping[str, Any] | None) -> RefineConfig:
+    """The settings of a caller; None stands for the defaults. InputError for another kind."""
+    if isinstance(config, Mapping):
+        names = [field.name for field in fields(RefineConfig)]
+        if unknown := [key for key in config if key not in names]:
+            raise InputError(f"config has {unknown[0]!r:.40}, expected {', '.join(names)}")
+        return RefineConfig(**config)
+    if not isinstance(config, RefineConfig | None):
+        raise InputError(f"config is of type {type(config).__name__}, expected a RefineConfig")
+    return config or RefineConfig()

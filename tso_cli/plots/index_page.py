@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -66,7 +67,8 @@ const order = (a, b) => compared(a, b, by, up ? 1 : -1) || compared(a, b, "confi
 function draw() {
   const words = search.value.toLowerCase();
   const rows = data.rows.filter(row => (!only.value || row.event === only.value)
-    && (!words || (row.item + " " + (row.reason || "")).toLowerCase().includes(words)));
+    && (!words || Object.keys(columns).filter(key => !numbers.has(key))
+      .map(key => row[key] ?? "").join(" ").toLowerCase().includes(words)));
   rows.sort(order);
   body.replaceChildren(...rows.slice(0, shown).map(row => {
     const line = document.createElement("tr"), picture = data.pictures ? line.insertCell() : null;
@@ -113,22 +115,34 @@ draw();
 def index_page(rows: Sequence[dict[str, Any]], no_pictures: str) -> str:
     """The page of items; each row has the keys of `COLUMNS`, and perhaps picture and href.
 
-    ``no_pictures`` : what to say where no row has a picture.
+    ``no_pictures`` : what to say where no row has a picture. ``columns`` of a row has more of its
+    item, by the names that the page gives them.
     """
+    more = dict.fromkeys(name for row in rows for name in row.get("columns", {}))
+    # No name of a user is one of this page's.
+    columns = COLUMNS | {f"columns {name}": name for name in more}
+    rows = [
+        {key: value for key, value in row.items() if key != "columns"}
+        | {
+            f"columns {name}": value if isinstance(value, str) else json.dumps(value)
+            for name, value in row.get("columns", {}).items()
+        }
+        for row in rows
+    ]
     counts = Counter(str(row["event"]) for row in rows)
     heads = "".join(
         f'<th data-key="{key}"{" class=number" if key in NUMBERS else ""}>'
         f"<button>{text(name)}</button></th>"
-        for key, name in COLUMNS.items()
+        for key, name in columns.items()
     )
     choices = "".join(f"<option>{text(event)}</option>" for event in sorted(counts))
     summary = ", ".join(f"{number:,} {text(event)}" for event, number in counts.most_common())
     pictures = any("picture" in row for row in rows)
     head = f"<tr>{'<th>picture</th>' if pictures else ''}{heads}</tr>"
     data = {
-        "columns": COLUMNS,
+        "columns": columns,
         "numbers": NUMBERS,
-        "rows": list(rows),
+        "rows": rows,
         "rowsAtOnce": ROWS,
         "worstFirst": WORST_FIRST,
         "pictures": pictures,

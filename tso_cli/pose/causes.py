@@ -134,7 +134,8 @@ def find_move(
     first = likely[0]
     kind: Moved = "shift" if first.name == "shift" else "pose"
     result = SearchResult(first.placement, missed, first.missed)
-    return problem.move(kind, result, problem.freedom(kind, keep)[1])
+    freedom, fixed = problem.freedom(kind, keep)
+    return problem.move(kind, result, fixed, freedom)
 
 
 def _growth(problem: Placing, stretched: Placements) -> float:

@@ -13,11 +13,13 @@ from ..geometry.arrays import Array, Floats, Indices
 from ..geometry.camera import Camera, intrinsics
 from ..geometry.points import as_points, bounding_box_normalisation
 from ..geometry.rotations import angle_between, nearest_rotation
-from ..geometry.view import View
+from ..geometry.view import View, as_mask
 from .appearance import appearance, decides
 from .everywhere import Poses, search_everywhere, spread_indices, unlike_first
 from .levenberg import Freedom
+from .move import PoseDeviation
 from .placement import FOCAL, SHIFT, TURN, UNKNOWNS, Placements
+from .placing import deviation_of
 from .search import EXPLAINED, SURE_GAP, Comparison
 
 # The prior on the focal length in longer sides of the image: 47 degrees, between a phone's main
@@ -53,6 +55,8 @@ class FittedCamera:
     missed : the share of the mask's contour that the cloud misses (`Comparison.missed`).
     alternatives : other poses, best first. They lie over 20 degrees from the best pose and from
         each other, and are no symmetry of the cloud.
+    exact_to : how exact the pose is, along the axes of the camera; None if the cloud does not fit,
+        and for the alternatives.
     focal_range : px, shortest and longest of the focal lengths tried (a third of the best to three
         times it) that fit about as well.
     """
@@ -62,6 +66,7 @@ class FittedCamera:
     missed: float
     alternatives: tuple[Alternative, ...]
     focal_range: tuple[float, float]
+    exact_to: PoseDeviation | None = None
 
     def describe(self) -> str:
         """One line for the log."""
@@ -170,7 +175,7 @@ def fit_camera(
         )
     centre, unit = bounding_box_normalisation(cloud)
     normalised = (cloud - centre) / unit
-    pixels = np.asarray(mask, dtype=np.float32)
+    pixels = as_mask(mask, name)
     height, width = pixels.shape
     unknowns: list[slice | int] = [TURN, SHIFT]
     deviations = np.full(UNKNOWNS, np.inf)
@@ -206,6 +211,11 @@ def fit_camera(
         )
         for i in unlike_first(normalised[index], R, None if paint is None else paint[index])
     )
+    exact_to = None
+    if candidates.missed[0] < EXPLAINED:
+        exact_to = deviation_of(
+            comparison, candidates.placements[:1], freedom, normalised[index], unit
+        )
     factors = _focal_factors(comparison, candidates) if FOCAL in unknowns else np.ones(1)
     return FittedCamera(
         cameras[0],
@@ -216,6 +226,7 @@ def fit_camera(
             float(camera.K[0, 0] * float(factors.min())),
             float(camera.K[0, 0] * float(factors.max())),
         ),
+        exact_to=exact_to,
     )
 
 

@@ -16,6 +16,7 @@ from ..geometry.arrays import Array
 from ..geometry.rotations import to_vectors
 from ..geometry.view import View
 from . import Keep, Moved
+from .placement import SHIFT, SIZE, TURN
 
 if TYPE_CHECKING:
     from .causes import Cause
@@ -27,6 +28,25 @@ MOST_DEGREES = 30.0
 FITS = 0.2
 # All exact validation clouds miss less than this, and some of other proportions do.
 FITS_NEARLY = 0.26
+
+
+@dataclass(frozen=True, eq=False)
+class PoseDeviation:
+    """Standard deviations of a place, along the axes of the world; 0 for what was kept.
+
+    degrees : [3] of the turn. shift : [3] of the middle of the cloud, in units of the world.
+    size : of the logarithm of the factor of its size.
+    """
+
+    degrees: Array
+    shift: Array
+    size: float
+
+    @classmethod
+    def of(cls, covariance: Array, unit: float) -> PoseDeviation:
+        """``covariance`` [17, 17] of the unknowns, where a shift by 1 is one by ``unit``."""
+        deviation = np.sqrt(np.diag(covariance))
+        return cls(np.degrees(deviation[TURN]), unit * deviation[SHIFT], float(deviation[SIZE]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +67,7 @@ class Move:
     stretched : share that a cloud of other proportions misses, infinite if nobody looked. growth :
         pixels by which the masks seem to have grown beyond it.
     settled : whether the cloud fits nearly, and a cloud of other proportions hardly fits better.
+    exact_to : how exact the place is, if the cloud was placed and fits there.
     """
 
     kind: Moved
@@ -63,6 +84,7 @@ class Move:
     stretched: float = np.inf
     growth: float = 0.0
     settled: bool = False
+    exact_to: PoseDeviation | None = None
 
     @property
     def fits(self) -> bool:
@@ -94,6 +116,7 @@ class Move:
             kind="nothing",
             matrix=np.eye(4),
             explains=False,
+            exact_to=None,
             alternatives=(*place, *self.alternatives),
             why_unmoved=why,
         )

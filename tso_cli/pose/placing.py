@@ -9,11 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from ..geometry.arrays import Array
-from ..geometry.rotations import angle_between, nearest_rotation
+from ..geometry.rotations import angle_between, from_vectors, nearest_rotation
 from ..geometry.view import View
 from . import Keep, Moved
 from .everywhere import (
     closed_iou,
+    same_by_symmetry,
     search_everywhere,
     size_of_object,
     spacing,
@@ -21,9 +22,17 @@ from .everywhere import (
     unlike_first,
 )
 from .levenberg import Freedom
-from .move import MOST_DEGREES, Body, Move, unmoved
+from .move import MOST_DEGREES, Body, Move, PoseDeviation, unmoved
 from .placement import GROWTH, SHIFT, SIZE, STRETCH, TURN, UNKNOWNS, Placements
-from .search import EXPLAINED, SURE_GAP, Comparison, SearchResult, place_from, some_views
+from .search import (
+    EXPLAINED,
+    NOTHING_KNOWN,
+    SURE_GAP,
+    Comparison,
+    SearchResult,
+    place_from,
+    some_views,
+)
 from .target import Part
 
 # The default does not move a cloud by more of the standard deviations below.
@@ -41,6 +50,9 @@ LEAST_OVERLAP = 0.1
 # So is a cloud that is this many times as large or as small as what several masks show. From its
 # narrow side an object is up to three times as small as its longest side.
 OTHER_UNITS = 5.0
+# A body that looks the same after this turn about an axis, radians, is taken for one of revolution:
+# no polygon with few corners does.
+A_TURN = 0.5
 
 
 def missed_by(body: Body, views: Sequence[View], *clouds: Array) -> list[float]:
@@ -89,6 +101,20 @@ def _why_unsure(best: Move, others: Sequence[Move]) -> str:
                 f"contours, here {best.missed:.0%}"
             )
     return ""
+
+
+def deviation_of(
+    comparison: Comparison, placement: Placements, freedom: Freedom, points: Array, unit: float
+) -> PoseDeviation:
+    """How exact the one ``placement`` of ``points`` [N, 3] is; a shift by 1 is one by ``unit``."""
+    covariance = comparison.covariance(placement, freedom)
+    turns = covariance[TURN, TURN]
+    axis = np.linalg.eigh(turns)[1][:, -1]
+    # The samples of a bottle are no exact body of revolution, and seem to tell how it is turned.
+    R, turned = placement.R[0], from_vectors(A_TURN * axis) @ placement.R[0]
+    if same_by_symmetry(points, R, turned, spacing(points)):
+        covariance[TURN, TURN] = turns + NOTHING_KNOWN**2 * np.outer(axis, axis)
+    return PoseDeviation.of(covariance, unit)
 
 
 class Placing:
@@ -163,8 +189,9 @@ class Placing:
         freedom, fixed = self.freedom(kind, keep)
         near = place_from(self.comparison, freedom)
         if near.placement is freedom.given and freedom.given.size[0] == 1.0:
-            return unmoved(self.views, "no other place fits much better", near.missed_before)
-        move = self.move(kind, near, fixed)
+            stays = unmoved(self.views, "no other place fits much better", near.missed_before)
+            return replace(stays, exact_to=self.exact_to(near, freedom))
+        move = self.move(kind, near, fixed, freedom)
         if near.fits:
             return move
         elsewhere = self.anywhere(kind, keep)
@@ -201,7 +228,7 @@ class Placing:
             SearchResult(placements[i : i + 1], before, float(candidates.missed[i]))
             for i in (0, *unlike_first(self.spread, placements.R))
         ]
-        best, *others = (self.move(kind, result, fixed) for result in results)
+        best, *others = (self.move(kind, result, fixed, free) for result in results)
         alternatives = tuple((other.missed, other.matrix) for other in others)
         return replace(best, alternatives=alternatives, why_unsure=_why_unsure(best, others))
 
@@ -224,8 +251,9 @@ class Placing:
         moves = []
         for view in self.views:
             alone = Placing(self.body, (view,))
-            result = place_from(alone.comparison, alone.freedom("pose", "size")[0])
-            moves.append(alone.move("camera", result, "size"))
+            freedom, fixed = alone.freedom("pose", "size")
+            result = place_from(alone.comparison, freedom)
+            moves.append(alone.move("camera", result, fixed, freedom))
         return Move(
             "camera",
             tuple(move.views[0] for move in moves),
@@ -235,7 +263,13 @@ class Placing:
             explains=all(move.explains for move in moves),
         )
 
-    def move(self, kind: Moved, result: SearchResult, fixed: Keep | None) -> Move:
+    def exact_to(self, result: SearchResult, freedom: Freedom) -> PoseDeviation | None:
+        """Of the placement of a search; None if the cloud does not fit there."""
+        if result.missed >= EXPLAINED:
+            return None
+        return deviation_of(self.comparison, result.placement, freedom, self.spread, self.unit)
+
+    def move(self, kind: Moved, result: SearchResult, fixed: Keep | None, freedom: Freedom) -> Move:
         """The move of that kind to the one placement of a search."""
         placement, centre = result.placement, self.body.centre
         # The product of many small rotations is a rotation only up to rounding.
@@ -246,5 +280,13 @@ class Placing:
         if kind != "camera":
             matrix[:3, :3], matrix[:3, 3] = size * R, t
         views = tuple(view.before_placed(R, t, size) for view in self.views)
-        missed_before, missed = result.missed_before, result.missed
-        return Move(kind, views, matrix, missed_before, missed, result.explains, fixed)
+        return Move(
+            kind,
+            views,
+            matrix,
+            result.missed_before,
+            result.missed,
+            result.explains,
+            fixed,
+            exact_to=self.exact_to(result, freedom),
+        )

@@ -15,7 +15,7 @@ from ..geometry.rotations import lattice
 from ..geometry.view import View
 from .levenberg import Freedom, Misfit, improve
 from .misfit import Contour, ContourMisfit, DepthMisfit, DepthSurface, NearestMisfit
-from .placement import SIZE, TURN, UNKNOWNS, Placements
+from .placement import GROWTH, SIZE, TURN, UNKNOWNS, Placements
 from .target import Part, Target
 
 # Side of the square in which cloud and mask are compared, in cells.
@@ -52,6 +52,9 @@ SIGNIFICANT = 7.0
 # Starts around a given pose: rotations by this angle about axes in all directions. Those that fit
 # best from afar are followed.
 NEAR_TURNS, NEAR_DEGREES, NEAR_STARTS = 6, 12.0, 5
+
+# The deviation of an angle that nothing determines, radians.
+NOTHING_KNOWN = np.pi / np.sqrt(3.0)
 
 Item = TypeVar("Item")
 
@@ -120,6 +123,22 @@ class Comparison:
         for scale in (FROM_AFAR, *scales) if from_afar else scales:
             placements, value = improve(placements, self.exact(scale), freedom, STEPS)
         return placements, value
+
+    def covariance(self, placement: Placements, freedom: Freedom) -> Array:
+        """[17, 17], of the unknowns that are free at the one ``placement``, whatever was given.
+
+        Each contour and each depth map has `levenberg.INDEPENDENT` residuals of one variance, and
+        the contours may lie as far out as masks and cloud leave open.
+        """
+        parts = len(self.contours) + len(self.surfaces)
+        unprejudiced = replace(freedom, deviation=np.full(UNKNOWNS, np.inf))
+        normal = parts * unprejudiced.posterior(self.exact(self.outline))(placement).normal[0]
+        pixel = float(np.mean([target.pixel for target in self.targets]))
+        normal[GROWTH, GROWTH] += (pixel / self.outline) ** 2
+        basis = np.column_stack([freedom.basis, np.eye(UNKNOWNS)[:, GROWTH]])
+        least = np.eye(basis.shape[1]) / NOTHING_KNOWN**2
+        covariance: Array = basis @ np.linalg.inv(basis.T @ normal @ basis + least) @ basis.T
+        return covariance
 
     def at_depth(self, placements: Placements, freedom: Freedom) -> Placements:
         """The placements, scaled about the camera to the distance that its depth map shows.

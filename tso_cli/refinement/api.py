@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ..cloud.cloud import Cloud
 from ..diagnosis.assumptions import Assumption
 from ..diagnosis.findings import Finding
 from ..errors import InputError
 from ..geometry.camera import Camera
 from ..kernels import blas
-from ..optimisation.config import RefineConfig
+from ..optimisation.config import RefineConfig, config_of
 from ..optimisation.loop import Progress
 from .clock import Clock
-from .result import RefineResult
+from .result import RefineResult, as_given
 from .run import run
-from .scene import as_scene
+from .scene import as_cloud, as_scene
 
 if TYPE_CHECKING:
     from ..network.model import BaseNetwork
@@ -26,7 +25,7 @@ def refine(
     points: Any,
     masks: Any,
     cameras: Camera | Sequence[Camera] | None = None,
-    config: RefineConfig | None = None,
+    config: RefineConfig | Mapping[str, Any] | None = None,
     *,
     assume: Sequence[str | Assumption] = (),
     network: BaseNetwork | None = None,
@@ -39,10 +38,13 @@ def refine(
 
     Parameters
     ----------
-    points : [N, 3] array or tensor, or a `Cloud`, which has its own colours and faces. None in the
-        network modes, where the network's prediction is the start.
-    masks : one [H, W] array in [0, 1], a sequence of them, or `View` objects.
+    points : [N, 3] or [1, N, 3] array or tensor, or a `Cloud`, which has its own colours and faces.
+        Points of a cloud that are not finite are left out, with a warning. None in the network
+        modes, where the network's prediction is the start.
+    masks : one [H, W] array in [0, 1] or of 0 to 255, a picture of Pillow, a sequence of them, or
+        `View` objects.
     cameras : one for each mask. None for the canonical camera, and for views, which have cameras.
+    config : a `RefineConfig`, or its fields by name.
     assume : what the input is, if not as the conventions have it: names of hypotheses, such as
         "opengl" or "mask-flipped@NAME" for the view of that name alone.
     network : for the modes "encoder", "encoder-decoder" and "latent"; it is copied, never changed.
@@ -56,7 +58,8 @@ def refine(
     Returns
     -------
     RefineResult. Its points are the best iterate of the preset's objective. If nothing is better
-    than the start, the result is the start.
+    than the start, the result is the start. If the points were given as a tensor, ``points`` and
+    ``initial`` are tensors of the same device and dtype (of whole numbers: torch's default).
 
     Raises
     ------
@@ -66,16 +69,13 @@ def refine(
     TsoError
         The loss of the start, or after the first step, is not a finite number.
     """
-    if not isinstance(config, RefineConfig | None):
-        raise InputError(f"the config is of type {type(config).__name__}, expected a RefineConfig")
-    settings = (config or RefineConfig()).settings()
+    given, settings = points, config_of(config).settings()
     clock, parameters = Clock(), None
     with clock.phase("prepare"):
         if settings.mode == "points":
             if points is None:
                 raise InputError("mode points needs points, found none")
-            if not isinstance(points, Cloud):
-                points = Cloud(points, "points", faces=faces)
+            points = as_cloud(points, "points", faces)
         else:
             from ..optimisation.network_parameters import NetworkParameters
 
@@ -85,4 +85,4 @@ def refine(
             points = parameters.cloud.source
         scene = as_scene(points, masks, cameras, assume, known)
     with blas.one_thread():
-        return run(scene, settings, clock, parameters, progress)
+        return as_given(run(scene, settings, clock, parameters, progress), given)

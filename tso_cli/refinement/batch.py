@@ -5,23 +5,25 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Sized
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any
 
 import numpy as np
 
-from ..cloud.cloud import as_numpy
 from ..errors import InputError, Interrupted, TsoError
+from ..geometry.arrays import as_numpy
+from ..geometry.view import View
 from ..io.reading import shown
 from ..kernels import blas
-from ..optimisation.config import RefineConfig
+from ..optimisation.config import RefineConfig, config_of
 from ..signals import at_interrupt
 from ..workers import Ended, Here, WorkerPool, cores, each
 from .clock import Clock
-from .result import RefineResult
+from .result import RefineResult, as_given
 from .run import run
 from .scene import as_scene
 
@@ -44,7 +46,7 @@ class _Job:
 
 def refine_each(
     scenes: Iterable[Scene],
-    config: RefineConfig | None = None,
+    config: RefineConfig | Mapping[str, Any] | None = None,
     *,
     executor: Executor | None = None,
     window: int | None = None,
@@ -57,8 +59,8 @@ def refine_each(
 
     Parameters
     ----------
-    scenes : (points [N, 3], views) of each. They are taken a few at a time, so that a generator may
-        make them.
+    scenes : (points [N, 3], views) of each; or one pair of clouds [B, N, 3] and the views of each,
+        or one `View` for all. They are taken a few at a time, so that a generator may make them.
     executor : does the work, in place of a process for each core. It must be able to pickle scenes;
         that of dask is `client.get_executor()`. If it breaks as a whole, processes of tso go on.
     window : scenes that are with the processes at once.  The default is two for each core.
@@ -70,7 +72,7 @@ def refine_each(
 
 def refine_batch(
     scenes: Sequence[Scene],
-    config: RefineConfig | None = None,
+    config: RefineConfig | Mapping[str, Any] | None = None,
     *,
     progress: Callable[[int, int, float], None] | None = None,
     executor: Executor | None = None,
@@ -111,10 +113,8 @@ def _not_begun(number: int) -> Interrupted:
     return Interrupted(f"scene {number}: interrupted before it began")
 
 
-def _config_of(config: RefineConfig | None) -> RefineConfig:
-    config = RefineConfig() if config is None else config
-    if not isinstance(config, RefineConfig):
-        raise InputError(f"config is {shown(config)}, expected a RefineConfig")
+def _config_of(config: RefineConfig | Mapping[str, Any] | None) -> RefineConfig:
+    config = config_of(config)
     if config.mode != "points":
         raise InputError(f"mode is {config.mode!r}, expected points for a batch")
     return config
@@ -123,6 +123,14 @@ def _config_of(config: RefineConfig | None) -> RefineConfig:
 def _iterable(scenes: Iterable[Scene]) -> Iterable[Scene]:
     if not isinstance(scenes, Iterable):
         raise InputError(f"scenes is {shown(scenes)}, expected a sequence of (points, views)")
+    if isinstance(scenes, tuple) and len(scenes) == 2 and getattr(scenes[0], "ndim", 0) == 3:
+        clouds, views = scenes
+        listed = [views] * len(clouds) if isinstance(views, View) else list(views)
+        if len(listed) != len(clouds):
+            raise InputError(
+                f"found {len(listed)} views for {len(clouds)} clouds, expected one View, or as many"
+            )
+        return list(zip(clouds, listed, strict=True))
     return scenes
 
 
@@ -136,7 +144,7 @@ def _checked(executor: Executor | None) -> Executor | None:
 
 
 def _window(window: int | None) -> int | None:
-    if window is not None and not (isinstance(window, int) and window > 0):
+    if window is not None and not (isinstance(window, Integral) and window > 0):
         raise InputError(f"window is {shown(window)}, expected a whole number from 1")
     return window
 
@@ -159,8 +167,16 @@ def _each(
 ) -> Iterator[tuple[int, RefineResult | TsoError]]:
     """``stop`` is set at Ctrl-C; None if Ctrl-C is the caller's."""
     processes = _processes(len(scenes) if isinstance(scenes, Sized) else None)
-    # A tensor on a GPU cannot be read in another process.
-    jobs = (_Job(number, _on_cpu(scene), config) for number, scene in enumerate(scenes))
+    tensors: dict[int, Any] = {}
+
+    def job(number: int, scene: Any) -> _Job:
+        """A tensor on a GPU cannot be read in another process."""
+        if isinstance(scene, tuple) and scene and hasattr(scene[0], "detach"):
+            tensors[number] = scene[0].detach()[:0].clone()
+            scene = (as_numpy(scene[0]), *scene[1:])
+        return _Job(number, scene, config)
+
+    jobs = (job(number, scene) for number, scene in enumerate(scenes))
     pool = WorkerPool(processes) if executor is None and processes else None
     most = window or (AHEAD * cores() if executor or pool else 1)
 
@@ -180,8 +196,11 @@ def _each(
                 result = _result_of(ended)
                 if stop is not None and _interrupted(result):
                     stop.set()
+                number = ended.job.number
+                if isinstance(result, RefineResult):
+                    result = as_given(result, tensors.pop(number, None))
                 if not isinstance(result, Interrupted):
-                    yield ended.job.number, result
+                    yield number, result
     finally:
         if pool is not None:
             pool.shutdown(wait=False)
@@ -223,10 +242,6 @@ def _result_of(ended: Ended[_Job]) -> RefineResult | TsoError:
     failure = TsoError(f"{where}: {ended.failure}")
     failure.__cause__ = error
     return failure
-
-
-def _on_cpu(scene: Any) -> Any:
-    return (as_numpy(scene[0]), *scene[1:]) if isinstance(scene, tuple) and scene else scene
 
 
 def _refined(job: _Job) -> tuple[RefineResult, list[Warning]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+import sys
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 from ..diagnosis.findings import Finding
 from ..diagnosis.trust import Trust
@@ -146,3 +147,14 @@ class RefineResult:
     def cameras(self) -> tuple[Camera, ...]:
         """The camera of each view, where it moved to if cameras moved."""
         return tuple(view.camera for view in self.views)
+
+
+def as_given(result: RefineResult, points: Any) -> RefineResult:
+    """``result`` with tensors for its points, if the ``points`` that were given are a tensor."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None or not isinstance(points, torch.Tensor):
+        return result
+    dtype = points.dtype if points.is_floating_point() else torch.get_default_dtype()
+    before, after = (torch.as_tensor(a, dtype=dtype, device=points.device)
+                     for a in (result.initial, result.points))  # fmt: skip
+    return replace(result, initial=before, points=after)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from ..cloud.cloud import Cloud, as_numpy
+from ..cloud.cloud import Cloud
 from ..diagnosis.assumptions import Assumption, as_meant, assumptions_of
 from ..diagnosis.findings import ASSUMED_CAMERA, Finding
 from ..errors import InputError
-from ..geometry.arrays import Bits, as_numbers
+from ..geometry.arrays import Array, Bits, as_numbers
 from ..geometry.camera import Camera
 from ..geometry.outline import shrunk
-from ..geometry.view import OUTLINE_ERROR, View
+from ..geometry.view import OUTLINE_ERROR, View, as_mask
 from ..pose.move import Move
 
 
@@ -83,8 +84,7 @@ def as_scene(
     name: str = "points",
 ) -> RefineScene:
     """The scene of a `Cloud`, or of points [N, 3] called ``name`` in messages, and its views."""
-    if not isinstance(cloud, Cloud):
-        cloud = Cloud(cloud, name)
+    cloud = as_cloud(cloud, name)
     views = as_views(masks, cameras)
     listed = masks if isinstance(masks, Sequence) else [masks]
     with_camera = cameras is not None or any(isinstance(entry, View) for entry in listed)
@@ -100,6 +100,27 @@ def as_scene(
     return RefineScene(cloud, views, tuple(assumptions), tuple(known))
 
 
+def as_cloud(points: Any, name: str, faces: Any = None) -> Cloud:
+    """The cloud of points [N, 3] or [1, N, 3], of a mesh with ``faces``; a `Cloud` as it is.
+
+    Points of a cloud without finite coordinates are left out, with a warning.
+    """
+    if isinstance(points, Cloud):
+        return points
+    array: Array = as_numbers(points, f"{name}: what was given")
+    if array.ndim == 3 and len(array) == 1:
+        array = array[0]
+    # Of another shape `Cloud` says what is wrong.
+    finite: Bits = np.asarray(np.isfinite(array).all(1) if array.ndim == 2 else [True])
+    if faces is None and finite.any() and not finite.all():
+        wrong = f"{np.count_nonzero(~finite):,} of {len(finite):,}"
+        warnings.warn(
+            f"{name}: {wrong} have a NaN or infinite coordinate and are left out", stacklevel=3
+        )
+        array = array[finite]
+    return Cloud(array, name, faces=faces)
+
+
 def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tuple[View, ...]:
     """One `View` for each mask."""
     if isinstance(masks, View):
@@ -108,14 +129,15 @@ def as_views(masks: Any, cameras: Camera | Sequence[Camera] | None = None) -> tu
         if cameras is not None:
             raise InputError("views have their own cameras, expected no others with them")
         return tuple(masks)
-    if getattr(masks, "ndim", None) == 2:
+    shape: tuple[int, ...] = getattr(masks, "shape", ())
+    if len(shape) == 2 or (len(shape) == 3 and shape[2] == 1) or hasattr(masks, "getbands"):
         masks = [masks]
     try:
         listed = list(masks)
     except TypeError:
         listed = [""]
     try:
-        arrays = [as_numbers(as_numpy(mask), "a mask", np.float32) for mask in listed]
+        arrays = [as_mask(mask, "a mask") for mask in listed]
     except InputError:
         raise InputError(
             "masks are not arrays of numbers, expected one [H, W] or a sequence of them"

@@ -8,13 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from ..cloud.cloud import Cloud
 from ..diagnosis.assumptions import Assumption, as_meant, assumptions_of, left_handed
 from ..diagnosis.findings import ASSUMED_CAMERA, Finding
+from ..errors import InputError
 from ..geometry.arrays import Array, Floats, Pixels
 from ..geometry.view import View
 from ..io.clouds import PointCloud, read_cloud
-from ..io.views import ViewFiles, load_views, summary_of, view_without_camera
+from ..io.views import KnownFocal, ViewFiles, load_views, summary_of, view_without_camera
 from ..refinement.scene import RefineScene
 
 if TYPE_CHECKING:
@@ -80,18 +83,19 @@ def load_points_scene(
     files: ViewFiles | Path,
     assume: Sequence[str] = (),
     fit: int | None = None,
+    index: int | None = None,
 ) -> Scene:
     """The scene of points mode: a cloud, or a mesh whose surface is refined, and its views.
 
     ``files`` may be a single mask. ``assume`` names hypotheses that are taken as true. ``fit``
     estimates the camera of the one mask from mask and cloud (`fit_camera`): 0 takes the best pose,
     a larger number that of its alternatives. The images of a cloud without colours are only shown,
-    with a warning. Errors as `load_views` and `read_cloud`.
+    with a warning. ``index`` is as in `read_cloud`. Errors as `load_views` and `read_cloud`.
     """
     files = files if isinstance(files, ViewFiles) else ViewFiles([files])
     files = replace(files, y_up=cloud_file.suffix.lower() in Y_UP)
     assumptions = assumptions_of(assume, list(map(str, files.masks)))
-    file = read_cloud(cloud_file)
+    file = read_cloud(cloud_file, index=index)
     if file.source is not None:
         file.source.require_movable()
     # A camera that is to be fitted needs colours too: they break the symmetries of a shape.
@@ -138,6 +142,8 @@ def _with_fitted_camera(
     from ..pose.fit import fit_camera
 
     read, focal = view_without_camera(files)
+    if files.depth:
+        return _before_camera(cloud, file, read, focal, assumptions)
     view, body = as_meant(read, assumptions), cloud.controlled()
     K = view.camera.K
     fitted = fit_camera(
@@ -164,3 +170,26 @@ def _with_fitted_camera(
     summary = f"camera fitted to cloud and mask{by}: {how_sure}{focal_length}"
     scene = RefineScene(cloud, (read,), of_mask, known)
     return Scene(scene, (fitted.describe(),), summary, "input", file, fitted=fitted)
+
+
+def _before_camera(
+    cloud: Cloud,
+    file: PointCloud,
+    view: View,
+    focal: KnownFocal,
+    assumptions: tuple[Assumption, ...],
+) -> Scene:
+    """The scene of a camera at the origin, which looks along z.
+
+    A depth map shows where the object is in the axes and the unit of the camera. So the cloud moves
+    there, and is written there.
+    """
+    if focal.deviation != 0.0:
+        raise InputError(
+            f"{view.name}: with a depth map the focal length is not estimated, expected "
+            "`intrinsics`, `focal` or `fov`"
+        )
+    camera = replace(view.camera, R=np.eye(3), t=np.zeros(3))
+    scene = RefineScene(cloud, (replace(view, camera=camera),), assumptions)
+    summary = f"camera at the origin, with {focal.source}: the cloud moves into its axes"
+    return Scene(scene, (summary,), summary, "camera", file)

@@ -125,7 +125,7 @@ def train(
     processes = processes or Processes()
     _require_data(data, masked, config, processes)
     state = state or start(data, config)
-    if state.step >= config.steps:
+    if state.step > config.steps:
         raise InputError(
             f"steps is {config.steps}, expected more: {state.step} steps are done already"
         )

@@ -48,13 +48,16 @@ class WorkerPool(Executor):
     that is itself a worker.
 
     Ctrl-C of a terminal does not reach the processes; `interrupt` passes it on.
+
+    A piece of work that takes over ``seconds``, with the start of its process, ends with a
+    TimeoutError, and its process is killed. None is no limit.
     """
 
-    def __init__(self, processes: int) -> None:
+    def __init__(self, processes: int, seconds: float | None = None) -> None:
         self._jobs: queue.SimpleQueue[tuple[Future[Any], Callable[[], bytes]] | None] = (
             queue.SimpleQueue()
         )
-        self._children = [_Child() for _ in range(processes)]
+        self._children = [_Child(seconds) for _ in range(processes)]
         self._threads = [
             threading.Thread(target=self._serve, args=(child,), daemon=True)
             for child in self._children
@@ -114,18 +117,30 @@ class WorkerPool(Executor):
 class _Child:
     """One process, started when it is first needed, and again after it has died."""
 
-    def __init__(self) -> None:
+    def __init__(self, seconds: float | None) -> None:
+        self._seconds = seconds
         self._process: subprocess.Popen[bytes] | None = None
         self._working = self._ended = False
 
     def ask(self, message: bytes) -> tuple[bool, Any]:
-        """Whether the work succeeded, and its result or exception; WorkerDied if there is none."""
+        """Whether the work succeeded, and its result or exception.
+
+        Raises WorkerDied if there is none, TimeoutError if it takes too long.
+        """
         process = self._process = self._process or self._started()
         assert process.stdin
         assert process.stdout
         if self._ended:  # `kill` came while the process started, and did not see it
             process.kill()
-        self._working = True
+        self._working, late = True, threading.Event()
+
+        def give_up() -> None:
+            late.set()
+            process.kill()
+
+        alarm = threading.Timer(self._seconds or 0.0, give_up)
+        if self._seconds is not None:
+            alarm.start()
         try:
             send(process.stdin, message)
             reply = receive(process.stdout)
@@ -133,8 +148,12 @@ class _Child:
             self._process = None
             process.kill()
             _close(process)
+            if late.is_set():
+                process.wait()
+                raise TimeoutError(f"took over {self._seconds:g} seconds") from None
             raise WorkerDied(f"its process {_end(process.wait())}") from None
         finally:
+            alarm.cancel()
             self._working = False
         answer: tuple[bool, Any] = pickle.loads(reply)
         return answer

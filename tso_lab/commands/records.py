@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import click
 
 from tso_cli.commands import options
-from tso_cli.errors import InputError
+from tso_cli.errors import InputError, needed_by
 from tso_cli.io.output import atomic_output, check_output, sole_writer
 from tso_cli.io.reading import read_bytes, shown
 from tso_cli.io.shipped import named_checkpoint
@@ -138,6 +139,9 @@ def command_of(study: Study) -> click.Command:
         output: Path | None, overwrite: bool, as_json: bool, resume: bool, **values: Any
     ) -> None:
         check_outputs(output, overwrite, resume)
+        if output is not None or values.get("pictures"):
+            with needed_by("charts need"):  # they are drawn after hours
+                import_module("matplotlib")
         command_line = _command_line(study, values)
         for declared in study.options:
             if declared.several:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from difflib import get_close_matches
 from functools import lru_cache
-from os.path import join, normpath, realpath, splitext
+from os.path import expanduser, join, lexists, normpath, realpath, splitext
 from pathlib import Path, PurePath
 from typing import Any
 
-from ...batch.manifest import CLOUD, MASK, OUTPUT, SEPARATOR, Item, in_shard
-from ...batch.remote import is_remote
+from ...batch.manifest import CLOUD, MASK, OUTPUT, RESULT, SEPARATOR, Item, in_shard
+from ...batch.remote import is_on_this_machine, is_remote, local_path
 from ...batch.run import ItemOptions
 from ...errors import InputError, prefixed
-from ...io.clouds import check_suffix
+from ...io.clouds import ARRAYS, check_suffix, clouds_in
+from ...io.masks import masks_in
 from ...io.output import require_suffix
 from ...io.reading import plain, shown
 from ...option import Declared
@@ -38,6 +41,7 @@ def options_of_items(
     strict: bool,
     shard: tuple[int, int] = (1, 1),
     manifest: Path | str = "-",
+    carried: dict[str, dict[str, Any]] | None = None,
 ) -> list[tuple[str, ItemOptions]]:
     """The name of each item's result in the folder ``output``, and its options.
 
@@ -45,14 +49,15 @@ def options_of_items(
     are compared. Paths are text,
     relative to ``folder``, a path or an address. Raises InputError with row and column for what
     `tso refine` does not take, for two outputs of one name, and for an output that is an input of
-    another item or the ``manifest``.
+    another item or the ``manifest``. ``carried`` gets the columns that are no option, by the name
+    of the item.
     """
     in_this_shard: list[tuple[str, ItemOptions]] = []
     writers: dict[str, str] = {}
     readers = _Readers(folder, output)
     readers.add("the manifest", [str(manifest)])
     checked_settings: set[tuple[Any, ...]] = set()
-    for item in items:
+    for item in (part for row in items for part in _of_arrays(row, folder)):
         with prefixed(f"{item.place}: "):
             columns = _columns(tuple(item.values))
         options: dict[str, Any] = {"strict": True} if strict else {}
@@ -86,12 +91,46 @@ def options_of_items(
             checked_settings.add(settings)
         options = {key: value for key, value in options.items() if value is not False}
         in_this_shard.append((name, options))
+        more = {title or "index": v for title, v in item.values.items() if title not in columns}
+        if more and carried is not None:
+            carried[name] = more
     for file, writer in writers.items():
         if reader := readers.other_than(writer, file):
             raise InputError(
                 f"{writer}: would write {plain(file)}, which {reader} reads, expected another name"
             )
     return in_this_shard
+
+
+def _of_arrays(item: Item, folder: str) -> Iterator[Item]:
+    """The item, or if its cloud is an array [B, N, 3] an item for each of these clouds.
+
+    The i-th cloud has the i-th of B masks, or the mask i of an array, else the one mask. What
+    cannot be read is left to the run of the item.
+    """
+    values, count = item.values, 1
+    cloud = _place(str(values.get(CLOUD, "")), folder)
+    if not is_remote(cloud) and not values.keys() & {"cloud-index", "cloud_index"}:
+        with suppress(InputError):
+            count = clouds_in(Path(cloud))
+    masks = values.get(MASK, "")
+    masks = [text.strip() for text in masks.split(SEPARATOR)] if isinstance(masks, str) else masks
+    output = values.get(OUTPUT, f"{PurePath(cloud).stem}{RESULT}.ply")
+    # What is no mask or no name is refused as that of a single cloud is.
+    named = isinstance(masks, list) and all(mask and isinstance(mask, str) for mask in masks)
+    if count == 1 or not named or not isinstance(output, str) or not PurePath(output).name:
+        yield item
+        return
+    if len(masks) == 1 and Path(_place(masks[0], folder)).is_dir():
+        masks = [str(file.absolute()) for file in masks_in(Path(_place(masks[0], folder)))]
+    name = PurePath(output)
+    stem, dot, ending = name.name.partition(".")
+    for i in range(count):
+        of_cloud = {"cloud-index": i, OUTPUT: str(name.with_name(f"{stem}_{i}{dot}{ending}"))}
+        of_cloud[MASK] = masks[i] if len(masks) == count else masks
+        if len(masks) == 1 and PurePath(masks[0]).suffix.lower() in ARRAYS:
+            of_cloud["mask-index"] = i
+        yield Item(f"{item.place}, cloud {i}", values | of_cloud)
 
 
 class _Readers:
@@ -116,7 +155,10 @@ class _Readers:
 
 @lru_cache(maxsize=1024)
 def _columns(titles: tuple[str, ...]) -> dict[str, Declared]:
-    """The titles of columns, each with the option of `tso refine` that it sets."""
+    """The titles of columns that set an option of `tso refine`, each with the option.
+
+    Other columns are the user's own, unless their names are nearly those of options.
+    """
     title_of: dict[str, str] = {}
     columns: dict[str, Declared] = {}
     for title in titles:
@@ -128,10 +170,12 @@ def _columns(titles: tuple[str, ...]) -> dict[str, Declared]:
             why = f"the option {by} sets it for all" if by else "tso batch sets it itself"
             raise InputError(f"the column {shown(title)} is not for one item: {why}")
         if option is None:
-            raise InputError(
-                f"the column {shown(title)} is no option of tso refine for an item, expected "
-                f"{CLOUD}, {MASK}, camera, {OUTPUT}, steps and so on"
-            )
+            if nearest := _nearest(title):
+                raise InputError(
+                    f"the column {shown(title)} is no option of tso refine, expected {nearest}, or "
+                    "another name for a column of your own"
+                )
+            continue
         if option.name in title_of:
             raise InputError(
                 f"the columns {plain(title_of[option.name])} and {plain(title)} are the same "
@@ -139,6 +183,23 @@ def _columns(titles: tuple[str, ...]) -> dict[str, Declared]:
             )
         title_of[option.name], columns[title] = title, option
     return columns
+
+
+def _nearest(title: str) -> str:
+    """The option whose name is nearly ``title``, or ""."""
+    name = plain_name(title)
+    name = name.removesuffix("_path").removesuffix("_file")
+    return next(iter(get_close_matches(name, named(RefineOptions), 1, 0.8)), "")
+
+
+def _place(text: str, folder: str) -> str:
+    """Where the path of a cell leads; an address stays."""
+    text = local_path(text)
+    if is_remote(text):
+        return text
+    path = join(folder, expanduser(text))
+    # A backslash of Windows, unless it is of the name of a file.
+    return path if "\\" not in path or lexists(path) else path.replace("\\", "/")
 
 
 def _value(item: Item, title: str, option: Declared, folder: str) -> Any:
@@ -153,9 +214,7 @@ def _value(item: Item, title: str, option: Declared, folder: str) -> Any:
     with prefixed(f"{item.place}: {title} is "):
         if value == []:
             raise InputError(f"[], expected {option.expected}")
-        value = value_of(
-            option, value, lambda text: text if is_remote(text) else join(folder, text)
-        )
+        value = value_of(option, value, lambda text: _place(text, folder))
         if option.name == "masks" and len(set(map(normpath, value))) < len(value):
             raise InputError(f"{shown(item.values[title])}, expected each mask once")
     return sys.intern(value) if option.plain is str and isinstance(value, str) else value
@@ -184,8 +243,9 @@ def _name(item: Item, options: ItemOptions) -> str:
 
 def _below(item: Item, title: str, name: str) -> str:
     """The plain form of a path below the folder of the batch; of a result it may be an address."""
-    path = PurePath(name)
-    if not path.parts or path.is_absolute() or ".." in path.parts:
+    path = PurePath(name if is_remote(name) else name.replace("\\", "/"))
+    outside = path.is_absolute() or ".." in path.parts or path.parts[:1] == ("~",)
+    if not path.parts or outside or is_on_this_machine(name):
         raise InputError(
             f"{item.place}: {title} is {shown(item.values[title])}, expected a name below the "
             "folder of -o"

@@ -33,8 +33,13 @@ class PathOrAddress(options.FilePath):
     """A path, or an address as text."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        is_address = "://" in str(value)
-        return value if is_address else super().convert(value, param, ctx)
+        if "://" in str(value):
+            from ...batch.remote import is_remote, local_path
+
+            value = local_path(str(value))
+            if is_remote(value):
+                return value
+        return super().convert(value, param, ctx)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +51,7 @@ class BatchOptions:
     strict : Write no doubtful results.
     report : Also write OUT/index.html, a table of all items with pictures.
     jobs : Processes.
+    item_seconds : End an item as failed that takes longer.
     shard : Do only the I-th of N parts of the items, as one of N machines.
     engine : Processes of this machine, or a cluster of dask.
     scheduler : Address of dask's scheduler, such as tcp://10.0.0.1:8786.
@@ -66,6 +72,9 @@ class BatchOptions:
         heading="Running",
         names=("-j", "jobs"),
         least=1,
+    )
+    item_seconds: float | None = opt(
+        None, "no limit", above=0.0, most=1e6, only={"engine": ("processes",)}
     )
     shard: Any = opt(None, metavar="I/N", parser=Shard())
     engine: Literal["processes", "dask"] = opt("processes")

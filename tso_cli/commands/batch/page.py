@@ -10,6 +10,7 @@ from urllib.parse import quote
 
 from ...batch.journal import NAME, read_journals
 from ...io.output import write_file
+from ...io.reading import is_there
 from ...plots.index_page import COLUMNS, index_page
 from ..refine.outputs import record_of
 
@@ -30,7 +31,8 @@ def write_index(output: Path) -> Path:
     past = read_journals(sorted(output.glob(f"*{NAME}")))
     path = output / INDEX
     rows = [_row(output, item.end) for item in past.values() if item.end]
-    write_file(path, index_page(rows, NO_PICTURES).encode(), overwrite=True)
+    page = index_page(rows, NO_PICTURES)
+    write_file(path, page.encode(errors="replace"), overwrite=True)
     return path
 
 
@@ -38,9 +40,10 @@ def _row(output: Path, entry: dict[str, Any]) -> dict[str, Any]:
     """What the page shows of an item's end, with its picture and a link to its page or file."""
     item = entry["item"]
     row = {key: entry.get(key) for key in COLUMNS}
-    if picture_of(output, item).is_file():
+    row["columns"] = entry.get("columns", {})
+    if is_there(picture_of(output, item)):
         row["picture"] = quote(f"{PICTURES}/{item}.png")
-    if (output / item).is_file():
+    if is_there(output / item):
         row["href"] = quote(_page_of(output, item) or item)
     return row
 

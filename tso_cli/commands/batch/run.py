@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from functools import partial
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from ...batch.remote import exists, is_remote
 from ...batch.run import ItemOptions, Outcome, Summary, run, tasks_of, waiting_for_items
 from ...errors import Interrupted
 from ...io.output import check_output, make_folder, sole_writer
+from ...io.reading import plain
 from ...workers import cores
 from .. import options
 from ..refine.run import INTERRUPTED
@@ -35,6 +37,7 @@ class BatchRun:
 
     def __init__(self, chosen: BatchOptions) -> None:
         self.options, self.output = chosen, chosen.output
+        self._carried: dict[str, dict[str, Any]] = {}  # by item, the columns that are not tso's
 
     def run(self) -> int:
         """Run the batch and print what became of it; the exit code."""
@@ -46,7 +49,13 @@ class BatchRun:
             chosen.strict,
             chosen.shard or (1, 1),
             chosen.manifest,
+            self._carried,
         )
+        if self._carried and not chosen.quiet:
+            names = dict.fromkeys(name for columns in self._carried.values() for name in columns)
+            options.log(
+                f"no options of tso refine, kept in the journal: {', '.join(map(plain, names))}"
+            )
         make_folder(self.output)
         journal_file, other_journals = journals_of(self.output, chosen.shard)
         if chosen.report and not (journal_file.exists() or other_journals):
@@ -85,7 +94,7 @@ class BatchRun:
         work = partial(refine_item, pictures=self.output if chosen.report else None)
         with (
             waiting_for_items() as interrupted,
-            engine(chosen.engine, processes, chosen.scheduler) as workers,
+            engine(chosen.engine, processes, chosen.scheduler, chosen.item_seconds) as workers,
         ):
             begun = time.perf_counter()
 
@@ -96,14 +105,17 @@ class BatchRun:
                     bar(summary.done, summary.total, note)
 
             try:
-                return run(tasks, past, work, unchanged, workers, journal, on_end, interrupted)
+                return run(
+                    tasks, past, work, unchanged, workers, journal, on_end, interrupted,
+                    self._carried,
+                )  # fmt: skip
             finally:
                 bar.close()
 
     def _refusal(self, item: str, item_options: ItemOptions) -> str:
         """Why an item that no run has begun must not begin."""
         for file in () if self.options.overwrite else written_by(item_options):
-            if exists(file) if is_remote(file) else Path(file).exists():
+            if exists(file) if is_remote(file) else lexists(file):
                 return f"{file}: exists already, expected a new name or --overwrite"
         return ""
 

@@ -50,7 +50,7 @@ def check_scene(
     if as_json:
         document = {
             **_document(scene, cloud, diagnosis),
-            **(move_document(move) if move else {}),
+            **(move_document(move, scene.fitted) if move else {}),
             "confidence": None,
             "verdict": "doubtful" if reason else None,
             "reason": reason,

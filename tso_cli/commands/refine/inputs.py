@@ -75,7 +75,8 @@ class RefineInputs:
         if self.checkpoint is None:
             inverted = [INVERTED.hypothesis.name] if options.invert_mask else []
             pose = (options.pose_index or 0) if options.fit else None
-            return load_points_scene(options.source, files, [*inverted, *options.assume], pose)
+            assumed = [*inverted, *options.assume]
+            return load_points_scene(options.source, files, assumed, pose, options.cloud_index)
         from ...scene.network import load_network_scene
 
         place, in_world = options.place or "silhouette", options.frame == "world"

@@ -44,6 +44,7 @@ class RefineOptions(RefineConfig):
         mask; or it stands at t of the camera file, as an object of longest side 1 around the
         origin.
     refine_camera : The same as --move camera.
+    cloud_index : Place of the cloud in an array [B, N, 3] of several.
     camera : Camera file or folder of any program, or `fit` to estimate it.
     intrinsics : Camera file whose K is used: with a --camera that holds poses alone, or with
         --camera fit.
@@ -57,7 +58,7 @@ class RefineOptions(RefineConfig):
     invert_mask : The object is dark in the mask.
     mask_error : How exactly the masks show where the outline is, a standard deviation in pixels.
     ignore : Image whose bright pixels are unknown: the loss leaves them out.
-    depth : Depth map along the camera's z axis, 16-bit PNG or .npy; 0 and NaN are unknown.
+    depth : Depth map along the camera's z axis, 16-bit PNG, .npy or .npz; 0 and NaN are unknown.
     depth_scale : Size of one step of the depth map in units of the camera; 0.001 for millimetres
         and metres.
     depth_kind : What the depth map holds: depth along z; inverse (disparity) or affine depth, up to
@@ -104,6 +105,7 @@ class RefineOptions(RefineConfig):
         heading="What moves as one first (points mode)",
         only={**POINTS, "move": (None, "camera")},
     )
+    cloud_index: int | None = opt(None, metavar="N", least=0, only=POINTS)
     camera: Path | None = opt(
         None,
         "a file next to the mask, else a canonical camera",
@@ -185,10 +187,7 @@ class RefineOptions(RefineConfig):
                 "masks"
             )
         if self.depth and self.fit:
-            raise InputError(
-                "--depth needs a camera whose distance is known, found --camera fit; expected a "
-                "camera file"
-            )
+            self._check_pose_with_depth()
         # Masks of folders are not read yet: any @MASK is accepted here, and checked later.
         views = dict.fromkeys(text.partition("@")[2] for text in self.assume)
         self.check_assumptions([view for view in views if view], len(self.masks))
@@ -197,6 +196,19 @@ class RefineOptions(RefineConfig):
             raise InputError(
                 f"--write-transform is for a cloud that moves as one, found --move {move}, which "
                 "leaves it where it is"
+            )
+
+    def _check_pose_with_depth(self) -> None:
+        """The cloud moves before a camera at the origin."""
+        if self.move not in (None, "auto", "pose", "similarity"):
+            raise InputError(
+                "--camera fit with --depth moves the cloud to where the depth map has it, found "
+                f"--move {self.move}; expected pose (the cloud has the right size) or similarity"
+            )
+        if self.pose_index is not None:
+            raise InputError(
+                "--pose-index is for --camera fit without --depth; with --depth, --json lists the "
+                "other places as alternatives"
             )
 
     def _check_network_mode(self) -> None:
@@ -238,6 +250,8 @@ class RefineOptions(RefineConfig):
         settings = {field.name: getattr(self, field.name) for field in fields(RefineConfig)}
         if self.refine_camera:
             settings["move"] = "camera"
+        if self.fit and self.depth and self.move in (None, "auto"):
+            settings["move"] = "similarity"
         return RefineConfig(**settings | more)
 
 

@@ -29,8 +29,10 @@ from .record import SCHEMA, key_of, options_of, relative
 from .sentences import SMALL_DISPLACEMENT, VERDICTS, Words, two_places, why_unmoved
 from .sentences_of_moves import (
     alternatives_of,
+    exact_to_of,
     move_document,
     start_of,
+    words_of_deviation,
     words_of_move,
     words_of_search,
 )
@@ -63,6 +65,9 @@ CONVENTION = {
     "cloud; of a fitted camera their number is what --pose-index takes",
     "missed": "of the masks' contours, the share that no point of the cloud comes near: "
     "where it was given, and after it moved as one; null if nobody looked",
+    "exact_to": "standard deviations of the place along the axes of the world, or of a fitted "
+    "camera: degrees, shift of the middle in units of the world, logarithm of the size; null if "
+    "the cloud was not placed, or does not fit there",
     "prior": "learned: the one that comes with the program",
     "moved_by_prior": "mean displacement of a control point by the learned prior, before the "
     "optimisation, also where it was left, as a share of the object's size",
@@ -142,7 +147,7 @@ class RefineReport:
             "suspects": self.words.suspects(result.findings),
             "moved": result.moved,
             "determined": result.determined,
-            **move_document(result.move),
+            **move_document(result.move, self.scene.fitted),
             "alternatives": alternatives_of(self.scene.fitted, result.move),
             "convention": {
                 **CONVENTION,
@@ -224,12 +229,14 @@ class RefineReport:
         fit, count = self.result.fit, len(self.scene.views)
         masks = f"masks, mean of {count}" if count > 1 else "mask"
         iou = f"{fit.iou_before:.3f} -> {fit.iou_after:.3f}"
-        return {
+        lines = {
             "": f"{self.files['output']}: {self._written()}",
             "IoU": f"{iou} with the {masks} ({self._verdict()})",
             "moved": self._moved(),
+            "pose": words_of_deviation(exact_to_of(self.result.move, self.scene.fitted)),
             "used": "; ".join(self._used()),
         }
+        return {name: text for name, text in lines.items() if text}
 
     def _used(self) -> list[str]:
         """What was used and assumed, and the time."""

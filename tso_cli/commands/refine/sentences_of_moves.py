@@ -8,18 +8,32 @@ import numpy as np
 
 from ...geometry.arrays import Array
 from ...pose.fit import FittedCamera
-from ...pose.move import Move
+from ...pose.move import Move, PoseDeviation
 from ...refinement import RefineResult
 
 
-def move_document(move: Move) -> dict[str, Any]:
+def move_document(move: Move, fitted: FittedCamera | None) -> dict[str, Any]:
     """For JSON."""
     return {
         "moved_as": move.kind,
         "transform": move.matrix.tolist(),
         "kept": move.keep,
         "missed": None if np.isnan(move.missed) else [move.missed_before, move.missed],
+        "exact_to": deviation_document(exact_to_of(move, fitted)),
     }
+
+
+def exact_to_of(move: Move, fitted: FittedCamera | None) -> PoseDeviation | None:
+    """How exact the place is, or the pose of the fitted camera."""
+    return fitted.exact_to if fitted is not None else move.exact_to
+
+
+def deviation_document(exact_to: PoseDeviation | None) -> dict[str, Any] | None:
+    """For JSON."""
+    if exact_to is None:
+        return None
+    degrees, shift = exact_to.degrees.tolist(), exact_to.shift.tolist()
+    return {"degrees": degrees, "shift": shift, "size": exact_to.size}
 
 
 def alternatives_of(fitted: FittedCamera | None, move: Move) -> list[dict[str, Any]]:
@@ -55,6 +69,15 @@ def words_of_move(move: Move, start: Array) -> str:
         parts.append(f"scaled by {move.size:.3f}")
     kept = f" (its {move.keep} is kept)" if move.keep else ""
     return f"as one: {', '.join(parts)}{kept}"
+
+
+def words_of_deviation(exact_to: PoseDeviation | None) -> str:
+    """How exactly a place is determined; "" where that is not known."""
+    if exact_to is None:
+        return ""
+    degrees, shift = (np.linalg.norm(part) for part in (exact_to.degrees, exact_to.shift))
+    size = f", {100.0 * exact_to.size:.2g} % of its size" if exact_to.size else ""
+    return f"exact to {degrees:.2g} degrees, {shift:.2g} in its units{size} (standard deviations)"
 
 
 def start_of(result: RefineResult) -> Array:

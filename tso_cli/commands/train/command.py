@@ -75,7 +75,7 @@ def command(ctx: click.Context, chosen: TrainOptions) -> None:
         data, masked_data = sets[0], sets[1] if len(sets) > 1 else None
         state = _initial_state(data, config, outputs, chosen.initial)
         if outputs.resume and not quiet:
-            options.log(f"tso: resuming after {state.step} steps")
+            outputs.log_resumed(state.step, config.steps)
         prepared, first_step = time.perf_counter(), state.step
         with options.naming(outputs.output):
             result = train(

@@ -35,6 +35,11 @@ class TrainOutputs:
                     "expected a file of its own"
                 )
 
+    def log_resumed(self, done: int, steps: int) -> None:
+        """Say how far the training is that goes on."""
+        complete = f"the training is complete, with {done} steps; --steps asks for more"
+        options.log(f"tso: {complete if done == steps else f'resuming after {done} steps'}")
+
     def save(
         self, write: Callable[[Path, bool], None], write_log: Callable[[Path, bool], None]
     ) -> None:

@@ -97,7 +97,7 @@ def command(ctx: click.Context, chosen: TrainPriorOptions) -> None:
         shapes = shapes + ruled_shapes(config.by_rule, config.seed, without, bar)
     if outputs.resume:
         state = load_training(outputs.output, config, weights, shapes.fingerprint(), device)
-        options.log(f"tso: resuming after {state.step} steps")
+        outputs.log_resumed(state.step, config.steps)
     else:
         state = new_state(weights, shapes.fingerprint(), device)
     _log_skipped(shapes)

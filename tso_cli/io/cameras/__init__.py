@@ -89,18 +89,20 @@ def _files_named(path: Path, changed: int) -> frozenset[str]:
     return frozenset(files)
 
 
-def read_cameras(path: str | Path) -> list[CameraRecord]:
-    """Read all views of a camera file, at least one; each must know its size.
+def read_cameras(path: str | Path, size: tuple[int, int] | None = None) -> list[CameraRecord]:
+    """Read all views of a camera file, at least one, for pictures of ``size`` or their own size.
 
     Raises InputError, which names the file and the key, if the file is wrong.
     """
     path = Path(path)
     records = []
     for view in read_partial_cameras(path)[0]:
-        if view.size is None:
+        if (of_view := size or view.size) is None:
             where = f"{view.title}." if view.title else ""
-            raise InputError(f"{path}: {where}width is missing, expected width and height")
-        records.append(CameraRecord(view.camera(path, *view.size), view.mask, view.image))
+            raise InputError(
+                f"{path}: {where}width is missing, expected width and height, or `size`"
+            )
+        records.append(CameraRecord(view.camera(path, *of_view), view.mask, view.image))
     return records
 
 

@@ -28,8 +28,12 @@ FORMATS = {
     "opencv": ("an OpenCV calibration, ROS camera_info or Kalibr", "yaml json zip"),
     "pytorch3d": ("PyTorch3D cameras", "zip"),
     "idr": ("cameras.npz of IDR or NeuS", "zip"),
+    "arkit": ("poses of ARKit: Polycam, 3D Scanner App or Record3D", "json folder"),
+    "scannet": ("a folder of ScanNet", "folder text"),
     "matrices": ("K, R, t, P or 4x4 matrices", "json npy zip text"),
     "colmap": ("a COLMAP model", "folder text binary"),
+    "trajectory": ("a trajectory of TUM or Stray Scanner", "folder text"),
+    "realitycapture": ("a table of RealityCapture", "text"),
     "middlebury": ("a _par.txt of Middlebury", "text"),
     "r2n2": ("rendering_metadata.txt of 3D-R2N2", "text"),
 }
@@ -105,13 +109,13 @@ def _module(name: str) -> Any:
 def _named(name: str) -> Any:
     if name in FORMATS:
         return _module(name)
-    from ..plugins import CAMERAS, registered
+    from ..plugins import CAMERAS, camera_reader, registered
 
     plugins = registered(CAMERAS)
     if name not in plugins:
         names = ", ".join([*FORMATS, *plugins])
         raise InputError(f"`camera_format` is {name!r}, expected one of {names}")
-    return plugins[name]()
+    return camera_reader(plugins[name])
 
 
 def _recognised(source: CameraSource) -> tuple[str, Any]:
@@ -131,11 +135,11 @@ def _recognised(source: CameraSource) -> tuple[str, Any]:
             module = _module(name)
             if module.recognises(source):
                 return name, module
-    from ..plugins import CAMERAS, guarded, registered
+    from ..plugins import CAMERAS, camera_reader, guarded, registered
 
     for name, load in registered(CAMERAS).items():
         with guarded(source.path, name, EXPECTED):
-            reader = load()
+            reader = camera_reader(load)
             if reader.recognises(source):
                 return name, reader
     if container == "json" or source.path.suffix.lower() == ".json":
@@ -160,5 +164,5 @@ def _without_cameras(folder: Path) -> InputError:
             )
     return InputError(
         f"{folder}: is a folder without a camera file, expected a COLMAP model (cameras and "
-        "images), transforms.json or scene_camera.json"
+        "images), transforms.json, scene_camera.json, or the poses of a scan"
     )

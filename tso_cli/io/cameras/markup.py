@@ -68,16 +68,21 @@ def _of_yaml(text: str, path: Path) -> list[Any]:
     return [document for document in documents if document is not None]
 
 
-def _of_xml(text: str, path: Path) -> list[Any]:
+def root_of(text: str, path: Path) -> Any:
+    """The root element of an XML file; InputError for what is none, or declares a document type."""
     from xml.etree import ElementTree
 
     if re.search(r"<!(DOCTYPE|ENTITY)", text):
         raise InputError(f"{path}: declares a document type, expected plain XML")
     try:
         # The encoding that the file declares has no effect on text, and may be unknown.
-        root = ElementTree.fromstring(text.encode(), ElementTree.XMLParser(encoding="utf-8"))
+        return ElementTree.fromstring(text.encode(), ElementTree.XMLParser(encoding="utf-8"))
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not XML ({reason(error)})") from None
+
+
+def _of_xml(text: str, path: Path) -> list[Any]:
+    root = root_of(text, path)
     if root.tag != "opencv_storage":
         return []
     return [{element.tag: _value(element) for element in root}]

@@ -1,7 +1,8 @@
 """Matrices in .npz, .npy or text: K, R, t, P, or 4x4 matrices, under the names of JSON files.
 
 An array without a name says what it is by its shape: [3, 3] is K, [3, 4] is P, and [4, 4] a pose
-from world to camera. A stack of N of them is N views.
+from world to camera, or K as ScanNet stores it. A stack of N of them is N views. ``poses`` lead
+from camera to world where ``focals`` stand next to them, as DUSt3R stores both.
 """
 
 from __future__ import annotations
@@ -14,14 +15,16 @@ from ...errors import InputError, prefixed
 from ...geometry.arrays import Array
 from ..reading import read_array
 from .matrices import decomposed
-from .own import NAMES, OTHER_NAMES, matrices_of, require_no_lens
+from .own import NAMES, OTHER_NAMES, like_poses, matrices_of, matrix_K, require_no_lens
 from .record import PartialCamera, from_world_to_camera, of_pixels
 from .source import CameraSource
 
 NEEDS = "3x3, 3x4 or 4x4 numbers"
 
 # Keys whose value is a matrix or a vector -> its dimensions.
-_DIMENSIONS = {"K": 2, "R": 2, "t": 1, "E": 2, "c2w": 2, "P": 2, "width": 0, "height": 0}
+_DIMENSIONS = {
+    "K": 2, "R": 2, "t": 1, "E": 2, "c2w": 2, "P": 2, "width": 0, "height": 0, "focal": 0, "pp": 1,
+}  # fmt: skip
 
 
 def recognises(source: CameraSource) -> bool:
@@ -32,8 +35,13 @@ def recognises(source: CameraSource) -> bool:
         return any(_key(key) in NAMES for key in keys)
     if source.container == "npy":
         return True
-    rows = source.words
+    rows = _rows(source)
     return len(rows) in (3, 4) and {len(words) for words in rows} in ({3}, {4})
+
+
+def _rows(source: CameraSource) -> list[list[str]]:
+    """The words of each line; commas may separate them."""
+    return [" ".join(words).replace(",", " ").split() for words in source.words[:5]]
 
 
 def _unnamed_json(source: CameraSource) -> bool:
@@ -53,7 +61,7 @@ def read(source: CameraSource) -> list[PartialCamera]:
     elif source.container == "npy":
         values = read_array(source.data, source.path)
     else:
-        values = [[float(word) for word in words] for words in source.words]
+        values = [[float(word) for word in words] for words in _rows(source)]
     shapes = ((3, 3), (3, 4), (4, 4), (-1, 3, 3), (-1, 3, 4), (-1, 4, 4))
     array = source.matrix("the array", values, *shapes)
     stack = array[None] if array.ndim == 2 else array
@@ -62,8 +70,9 @@ def read(source: CameraSource) -> list[PartialCamera]:
 
 
 def _unnamed(source: CameraSource, title: str, matrix: Array) -> PartialCamera:
-    if matrix.shape == (3, 3):
-        return PartialCamera(title, of_pixels(matrix, None))
+    # Entries of a rotation are at most 1.
+    if matrix.shape == (3, 3) or (matrix.shape == (4, 4) and matrix[0, 0] > 2.0):
+        return PartialCamera(title, of_pixels(matrix_K(source, title or "K", matrix), None))
     if matrix.shape == (4, 4):
         R, t = from_world_to_camera(source.pose(title or "the matrix", matrix))
         return PartialCamera(title, None, R, t)
@@ -91,10 +100,16 @@ def _named(source: CameraSource, arrays: dict[str, Any]) -> list[PartialCamera]:
     require_no_lens(source, "", arrays)
     if "T" in arrays and "t" not in arrays:
         arrays = _with_t(source, arrays)
+    if "poses" in arrays and "focals" in arrays:
+        arrays = {"c2w" if key == "poses" else key: value for key, value in arrays.items()}
     by_key = {_key(key): np.asarray(value) for key, value in arrays.items() if _key(key) in NAMES}
-    # A column t has one dimension more than a vector t, as a stack of vectors has.
-    if "t" in by_key and by_key["t"].shape[-1:] == (1,) and by_key["t"].ndim > 1:
-        by_key["t"] = by_key["t"][..., 0]
+    for key, value in by_key.items():
+        # Networks store a batch of one scene.
+        while value.ndim > _DIMENSIONS[key] + 1 and len(value) == 1:
+            value = value[0]
+        # A column t has one dimension more than a vector t, as a stack of vectors has.
+        column = key in ("t", "focal") and value.ndim > 1 and value.shape[-1] == 1
+        by_key[key] = value[..., 0] if column else value
     stacks = {
         key: len(value) for key, value in by_key.items()
         if value.ndim == _DIMENSIONS[key] + 1
@@ -111,7 +126,5 @@ def _named(source: CameraSource, arrays: dict[str, Any]) -> list[PartialCamera]:
             values[key] = of_view if of_view.ndim else of_view.item()
         where = f"[{number}]." if count > 1 else ""
         K, R, t, size = matrices_of(source, where, values)
-        views.append(
-            PartialCamera(where.rstrip("."), None if K is None else of_pixels(K, size), R, t, size)
-        )
+        views.append(PartialCamera(where.rstrip("."), K, R, t, size, unread=like_poses(arrays)))
     return views

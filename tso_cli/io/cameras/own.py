@@ -8,8 +8,10 @@ conventions see `tso_cli.geometry.camera`.
 
 from __future__ import annotations
 
+import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,13 @@ import numpy as np
 
 from ...errors import InputError, prefixed
 from ...geometry.arrays import Array
+from ...geometry.camera import intrinsics
 from ..checked import kind
 from ..images import PIXEL_LIMIT
 from ..reading import shown
 from .matrices import decomposed
 from .record import (
+    Intrinsics,
     PartialCamera,
     from_camera_to_world,
     from_world_to_camera,
@@ -35,10 +39,12 @@ NEEDS = "width, height, K, R and t"
 # Key -> other names of the same thing in files of other programs. Each has one meaning.
 NAMES = {
     "K": ("intrinsic", "intrinsics", "intrinsic_matrix", "camera_matrix", "cam_K"),
+    "focal": ("focals",),
+    "pp": ("principal_points",),
     "R": ("rotation_matrix", "cam_R_w2c"),
     "t": ("tvec", "cam_t_w2c"),
     "E": ("extrinsic", "extrinsics", "extrinsic_matrix", "w2c", "world_to_camera", "world2cam"),
-    "c2w": ("cam2world", "camera_to_world"),
+    "c2w": ("c2ws", "cam2world", "cams2world", "camera_to_world", "camera_poses"),
     "P": ("projection_matrix",),
     "width": ("w", "image_width"),
     "height": ("h", "image_height"),
@@ -47,6 +53,10 @@ OTHER_NAMES = {other: key for key, others in NAMES.items() for other in others}
 _FOCAL = ("fx", "fy", "cx", "cy")
 _FILES = ("mask", "image")
 _KNOWN = (*NAMES, *_FOCAL, *_FILES, "model")
+# Keys of formats that have readers of their own.
+_FOREIGN = ("frames", "rotation", "t_00", "cameraPoseARFrame", "poses", "imageResolution")
+# What keys are called that may hold a pose.
+_LIKE_A_POSE = re.compile("pose|extrin|transf|view_?mat|c2w|w2c|cam.*world|world.*cam", re.I)
 # Keys of lens distortion, which belongs to formats that say its model.
 _LENS = ("dist", "distortion", "dist_coeffs", "distCoeffs", "distortion_coefficients", "D", "k1")
 # Keys that do not say which way they go: what to write instead.
@@ -74,8 +84,8 @@ def recognises(source: CameraSource) -> bool:
     matrix_keys = [key for key in document if key in matrices]
     # Programs with formats of their own nest objects under some of these names.
     nested = any(isinstance(document[key], dict) for key in matrix_keys)
-    tables = "frames" in document or "rotation" in document
-    return "views" in document or (bool(matrix_keys) and not nested and not tables)
+    foreign = not document.keys().isdisjoint(_FOREIGN)
+    return "views" in document or (bool(matrix_keys) and not nested and not foreign)
 
 
 def read(source: CameraSource) -> list[PartialCamera]:
@@ -136,14 +146,21 @@ def _record(source: CameraSource, where: str, view: dict[str, Any]) -> PartialCa
     mask, image = (_file(source, where, values, key) for key in _FILES)
     return PartialCamera(
         where.rstrip("."),
-        None if K is None else of_pixels(K, size),
+        K,
         R,
         t,
         size,
         values.get("model", "perspective"),
         mask=mask,
         image=image,
+        unread=like_poses(values),
     )
+
+
+def like_poses(keys: Iterable[str]) -> tuple[str, ...]:
+    """The keys that tso does not know, and that are called like a pose."""
+    unknown = [key for key in keys if OTHER_NAMES.get(key, key) not in NAMES]
+    return tuple(key for key in unknown if _LIKE_A_POSE.search(key))
 
 
 def _size(source: CameraSource, where: str, values: dict[str, Any]) -> tuple[int, int] | None:
@@ -163,13 +180,14 @@ def _size(source: CameraSource, where: str, values: dict[str, Any]) -> tuple[int
 
 def matrices_of(
     source: CameraSource, where: str, values: dict[str, Any]
-) -> tuple[Array | None, Array | None, Array | None, tuple[int, int] | None]:
+) -> tuple[Intrinsics | None, Array | None, Array | None, tuple[int, int] | None]:
     """K, R, t and the size of the picture, as far as a view has them.
 
     ``values`` has the keys of `NAMES`. Raises InputError if it has neither K nor a pose.
     """
     size = _size(source, where, values)
     K = R = t = None
+    in_pixels: Intrinsics | None = None
     require_no_lens(source, where, values)
     if sum(key in values for key in ("E", "c2w", "R")) + ("P" in values) > 1:
         raise InputError(f"{source.path}: {where or 'it '}has several poses, expected one")
@@ -178,7 +196,7 @@ def matrices_of(
         with prefixed(f"{source.path}: {where}"):
             K, R, t = decomposed(P)
     if "K" in values:
-        K = source.matrix(f"{where}K", values["K"], (3, 3), (9,)).reshape(3, 3)
+        K = matrix_K(source, f"{where}K", values["K"])
     elif "fx" in values:
         missing = [key for key in _FOCAL if key not in values]
         if missing:
@@ -186,6 +204,13 @@ def matrices_of(
                 f"{source.path}: {where}{missing[0]} is missing, expected fx, fy, cx and cy"
             )
         K = matrix_of(*[source.number(where + key, values[key]) for key in _FOCAL])
+    elif "focal" in values:
+        focal = source.number(f"{where}focal", values["focal"])
+        in_pixels = partial(intrinsics, focal)
+        if "pp" in values:
+            K = matrix_of(focal, focal, *source.matrix(f"{where}pp", values["pp"], (2,)).tolist())
+        elif size:
+            K = intrinsics(focal, *size)
     for key, pose in (("E", from_world_to_camera), ("c2w", from_camera_to_world)):
         if key in values:
             R, t = pose(source.pose(where + key, values[key], (4, 4), (3, 4), (16,), (12,)))
@@ -195,9 +220,28 @@ def matrices_of(
     if "R" in values:
         R = source.matrix(f"{where}R", values["R"], (3, 3), (9,)).reshape(3, 3)
         t = source.matrix(f"{where}t", values["t"], (3,), (3, 1)).reshape(3)
-    if K is None and R is None:
+    if K is not None:
+        in_pixels = of_pixels(K, size)
+    if in_pixels is None and R is None:
         raise InputError(f"{source.path}: {where}K is missing, expected {NEEDS}")
-    return K, R, t, size
+    return in_pixels, R, t, size
+
+
+def matrix_K(source: CameraSource, where: str, values: Any) -> Array:
+    """``values`` by rows as K [3, 3]; ScanNet's is [4, 4].
+
+    Raises InputError as `CameraSource.matrix`, or if they are the transpose of K.
+    """
+    matrix = source.matrix(where, values, (3, 3), (9,), (4, 4))
+    if matrix.shape == (4, 4):
+        matrix = source.pose(where, matrix)[:3, :3]
+    K = matrix.reshape(3, 3)
+    if K[2, :2].any() and not K[:2, 2].any():
+        row = " ".join(f"{value:g}" for value in K[2])
+        raise source.error(
+            f"the last row of {where}", row, "0 0 1; transpose the matrix: it is stored by columns"
+        )
+    return K
 
 
 def require_no_lens(source: CameraSource, where: str, values: dict[str, Any]) -> None:

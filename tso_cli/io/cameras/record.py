@@ -47,6 +47,7 @@ class PartialCamera:
     mask, image : the files that the view names.
     names : names of further files of this view, such as masks that a data set derives from it.
     z_up : whether the pose is that of an object whose z is up, though its mesh may have y up.
+    unread : keys of the file that look like a pose, and do not say which way it leads.
     """
 
     title: str
@@ -61,6 +62,7 @@ class PartialCamera:
     names: tuple[str, ...] = ()
     sized_by: Path | None = None  # the file that says the size, if it is another one
     z_up: bool = False
+    unread: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -99,6 +101,12 @@ class PartialCamera:
                 raise InputError(
                     f"{where}has K but no pose, expected both; give the folder of the COLMAP "
                     f"model, with cameras{path.suffix} and images{path.suffix}"
+                )
+            if self.unread:
+                raise InputError(
+                    f"{where}has K, and {' and '.join(map(plain, self.unread[:3]))} may be the "
+                    "pose, expected the name w2c (world to camera) or c2w (camera to world), with "
+                    "z forward"
                 )
             raise InputError(
                 f"{where}has K but no pose, expected R and t; `camera` fit with `intrinsics` FILE "

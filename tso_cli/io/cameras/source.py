@@ -158,6 +158,22 @@ class CameraSource(Checked):
         self.place = ""
 
     @cached_property
+    def columns(self) -> list[str]:
+        """The names in the first line of a table with commas."""
+        return [name.strip() for name in self.text.partition("\n")[0].split(",")]
+
+    @property
+    def table(self) -> Iterator[dict[str, str]]:
+        """The rows of a table with commas, by the names of its columns; `place` is their line."""
+        for number, line in enumerate(self.text.splitlines()[1:], 2):
+            self.place = f"line {number}: "
+            cells = [cell.strip() for cell in line.split(",")]
+            if len(cells) != len(self.columns) and line.strip():
+                raise self.error("a row", f"{len(cells)} values", f"{len(self.columns)}")
+            if line.strip():
+                yield dict(zip(self.columns, cells, strict=True))
+
+    @cached_property
     def words(self) -> list[list[str]]:
         """The words of each line that is neither empty nor a comment."""
         lines = (line.split() for line in self.text.splitlines())
