@@ -69,6 +69,8 @@ class SeenSurface:
     @classmethod
     def of(cls, points: Array, view: View) -> SeenSurface:
         """Of ``points`` [N, 3], as a ``view`` with a depth map sees them."""
+        from scipy.ndimage import binary_erosion
+
         assert view.depth is not None
         px, depth = view.camera.project(points)
         height, width = view.mask.shape
@@ -76,7 +78,9 @@ class SeenSurface:
         (row, column), depth = np.divmod(pixel[within], width), depth[within]
         left, top, right, bottom = view.box()
         block = max(1, round(max(right - left, bottom - top) / BLOCKS))
-        known = (_interior(view.inside, max(1, block // 3)) & np.isfinite(view.depth))[row, column]
+        # The border of a map mixes the depths of the object and of what is behind it.
+        interior = binary_erosion(view.inside, iterations=max(1, block // 3))
+        known = (interior & np.isfinite(view.depth))[row, column]
         column, row, depth = column[known], row[known], depth[known]
         key = (row // block) * width + column // block
         order = np.lexsort((depth, key))
@@ -170,14 +174,6 @@ def wrong_maps(points: Array, views: Sequence[View], any_size: bool = False) -> 
             if (contents := surface.contents(any_size)) != "z":
                 findings.append(Finding(f"depth-{contents}", (number,), values=surface.figures))
     return findings
-
-
-def _interior(inside: Bits, border: int) -> Bits:
-    """``inside`` [H, W] without its outermost ``border`` pixels."""
-    from scipy.ndimage import binary_erosion
-
-    interior: Bits = binary_erosion(inside, iterations=border)
-    return interior
 
 
 def _covered(view: View) -> float:

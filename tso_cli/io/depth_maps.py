@@ -36,9 +36,7 @@ def read_depth(path: Path, scale: float = 1.0, upright: bool = True, signed: boo
     data = read_bytes(path, "a depth map", FILE_LIMIT)
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
-        values = read_array(data, path) if suffix == ".npy" else _of_archive(data, path)
-        while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
-            values = values[0] if len(values) == 1 else values[..., 0]
+        values = _picture(read_array(data, path)) if suffix == ".npy" else _of_archive(data, path)
         if values.ndim != 2 or values.dtype.kind not in "fiu" or 0 in values.shape:
             raise InputError(
                 f"{path}: holds {values.dtype} {list(values.shape)}, expected a depth map [H, W]"
@@ -121,10 +119,8 @@ def _of_archive(data: bytes, path: Path) -> NDArray[Any]:
 
 
 def _picture(values: NDArray[Any]) -> NDArray[Any]:
-    """[H, W] of [1, H, W] or [H, W, 1]; others as they are."""
-    if values.ndim == 4 and len(values) == 1:
-        values = values[0]
-    if values.ndim == 3 and 1 in (len(values), values.shape[2]):
+    """[H, W] of the one picture in [1, H, W], [H, W, 1] and so on; others as they are."""
+    while values.ndim > 2 and 1 in (values.shape[0], values.shape[-1]):
         values = values[0] if len(values) == 1 else values[..., 0]
     return values
 
